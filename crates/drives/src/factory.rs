@@ -67,10 +67,10 @@ where
         twin: Option<&ProcessData<Self>>,
     ) -> Result<Option<ProcessData<Self>>, BusError> {
         // A member beyond the settings is a drive that no axis uses.
-        match member.and_then(|member| settings.get(usize::from(member))) {
-            Some(settings) => configuration::used(device, settings, slave, twin).await.map(Some),
-            None => configuration::unused(device, slave).await,
-        }
+        let Some(settings) = member.and_then(|member| settings.get(usize::from(member))) else {
+            return configuration::unused(device, slave).await;
+        };
+        configuration::used(device, settings, slave, twin).await.map(Some)
     }
 }
 
