@@ -233,7 +233,7 @@ impl fmt::Display for JobError {
             ),
             Self::Cancelled => f.write_str("it was cancelled; the robot is at rest"),
             Self::Abandoned => f.write_str(
-                "the program that commanded the motion stopped sending, so the robot was stopped; command it again",
+                "the program that commanded the motion fell silent, so the robot was stopped; command it again",
             ),
             Self::Forgotten => f.write_str(
                 "the firmware restarted during the drawing and lost it; draw --resume continues where the ink ends",
