@@ -179,8 +179,8 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
     ///
     /// Returns whether more may be waiting: call it again then, after the other tasks of this priority.
     pub fn bus_frame<D: Driver>(&mut self, transport: &mut FramePort<D>, elapsed_ns: u32) -> bool {
+        let over_ip = self.bus.transport == Transport::Udp;
         for _ in 0..FRAMES_PER_RUN {
-            let over_ip = self.bus.transport == Transport::Udp;
             let Some(arrival) = transport.receive(|frame| {
                 let passed_on = over_ip && self.network.offer(frame);
                 (!passed_on).then(|| self.group.arrived(frame))
