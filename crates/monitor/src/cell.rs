@@ -1,0 +1,184 @@
+//! What the monitor knows of machine and configuration: plain numbers.
+//!
+//! The numbers are those of the configuration that the controller was given. Nothing here is read from the controller.
+
+use crate::robot::Robot;
+
+/// Most axes that are judged.
+pub const AXES_MAX: usize = 8;
+
+/// Limits and properties of one axis, at the joint.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct JointLimits {
+    /// Lowest and highest angle, rad.
+    pub range_rad: [f64; 2],
+    /// Configured speed limit, rad/s.
+    pub speed_rad_s: f64,
+    /// Configured acceleration limit, rad/s2.
+    pub acceleration_rad_s2: f64,
+    /// Configured deceleration of a quick stop, rad/s2.
+    pub quick_stop_rad_s2: f64,
+    /// Deceleration by the closed brake, rad/s2.
+    pub brake_rad_s2: f64,
+    /// Gain of the position controller, 1/s.
+    pub feedback_gain_per_s: f64,
+    /// Following error at which the controller stops the robot, rad.
+    pub following_error_max_rad: f64,
+    /// Largest velocity command, rad/s.
+    pub output_max_rad_s: f64,
+    /// Angle at the synchronisation mark, rad.
+    pub mark_rad: f64,
+    /// Change of the angle by one motor revolution, after which a single-turn resolver shows the same position, rad.
+    pub turn_rad: f64,
+}
+
+impl Default for JointLimits {
+    /// A main axis of the default configuration.
+    fn default() -> Self {
+        Self {
+            range_rad: [-0.7034, 1.7453],
+            speed_rad_s: 25.0,
+            acceleration_rad_s2: 250.0,
+            quick_stop_rad_s2: 100.0,
+            brake_rad_s2: 400.0,
+            feedback_gain_per_s: 80.0,
+            following_error_max_rad: 0.05,
+            output_max_rad_s: 27.0,
+            mark_rad: 0.3,
+            turn_rad: core::f64::consts::TAU / 12.0,
+        }
+    }
+}
+
+/// The space that the tool may use: an upright cylinder.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct WorkArea {
+    /// The cylinder's axis in the robot's frame, mm.
+    pub centre_mm: [f64; 2],
+    /// Radius, mm.
+    pub radius_mm: f64,
+    /// Lowest z, mm.
+    pub z_low_mm: f64,
+    /// Highest z, mm.
+    pub z_high_mm: f64,
+}
+
+impl Default for WorkArea {
+    fn default() -> Self {
+        Self {
+            centre_mm: [0.0, 0.0],
+            radius_mm: 565.0,
+            z_low_mm: -960.0,
+            z_high_mm: -700.0,
+        }
+    }
+}
+
+/// The sheet and the heights of the pen, in the robot's frame.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Paper {
+    /// The sheet's centre, mm.
+    pub centre_mm: [f64; 2],
+    /// Width and height of the sheet, mm.
+    pub size_mm: [f64; 2],
+    /// The platform's z when the pen draws, mm.
+    pub pen_down_z_mm: f64,
+    /// How far the pen is lifted between strokes, mm.
+    pub pen_lift_mm: f64,
+    /// How far below its drawing height the platform may go, mm.
+    pub pressing_depth_mm: f64,
+    /// Height above its drawing height up to which the pen's spring keeps its tip on the sheet, mm.
+    pub pen_spring_mm: f64,
+}
+
+impl Default for Paper {
+    fn default() -> Self {
+        Self {
+            centre_mm: [0.0, 0.0],
+            size_mm: [200.0, 200.0],
+            pen_down_z_mm: -850.0,
+            pen_lift_mm: 3.0,
+            pressing_depth_mm: 1.0,
+            pen_spring_mm: 0.3,
+        }
+    }
+}
+
+/// Machine and configuration.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Cell {
+    /// The robot.
+    pub robot: Robot,
+    /// The axes: the main axes, then further ones; at most [`AXES_MAX`] are judged.
+    pub joints: Vec<JointLimits>,
+    /// The space that the tool may use.
+    pub work_area: WorkArea,
+    /// The sheet and the pen.
+    pub paper: Paper,
+    /// Path speed with the pen down, mm/s.
+    pub tool_speed_mm_s: f64,
+    /// Path speed with the pen up, mm/s.
+    pub travel_speed_mm_s: f64,
+    /// Acceleration of the tool, mm/s2.
+    pub tool_acceleration_mm_s2: f64,
+    /// Vertical speed while the pen is lifted or lowered, mm/s; 0 if only the limits of all motion apply.
+    pub pen_speed_mm_s: f64,
+    /// Vertical acceleration while the pen is lifted or lowered, mm/s2; 0 if only the limits of all motion apply.
+    pub pen_acceleration_mm_s2: f64,
+    /// Time at rest where the pen meets the paper and where it leaves it, ms.
+    pub pen_dwell_ms: u32,
+    /// Largest deviation of the setpoints from the path with the pen down, mm.
+    pub tolerance_mm: f64,
+    /// Largest deviation of the setpoints from the path with the pen up, mm.
+    pub travel_tolerance_mm: f64,
+    /// Largest deviation from the path that is promised while an axis's feedback is not true, mm.
+    pub disturbed_mm: f64,
+    /// Longest pause between messages of a jog, ms.
+    pub dead_man_ms: u32,
+    /// Longest time in motion without a measurement, ms.
+    pub blind_ms: u32,
+    /// Watchdog of the drives, ms.
+    pub watchdog_ms: u32,
+    /// Silence of the host after which a drawing is held, ms.
+    pub host_silence_ms: u32,
+    /// Time from a telegram to the motor's reaction, ms: the drives' own delays.
+    pub drive_delay_ms: u32,
+    /// Period of the controller, ms; a [`Moment`](crate::Moment) is one millisecond whatever the period.
+    pub period_ms: f64,
+    /// Whether EtherCAT has the wire alone; otherwise it travels in UDP beside other protocols.
+    pub raw_wire: bool,
+}
+
+impl Default for Cell {
+    /// The default configuration: four equal axes, of which the last one turns freely.
+    fn default() -> Self {
+        let main = JointLimits::default();
+        let fourth = JointLimits {
+            range_rad: [-6_283.0, 6_283.0],
+            mark_rad: 0.0,
+            ..main
+        };
+        Self {
+            robot: Robot::default(),
+            joints: vec![main, main, main, fourth],
+            work_area: WorkArea::default(),
+            paper: Paper::default(),
+            tool_speed_mm_s: 400.0,
+            travel_speed_mm_s: 1_000.0,
+            tool_acceleration_mm_s2: 10_000.0,
+            pen_speed_mm_s: 0.0,
+            pen_acceleration_mm_s2: 0.0,
+            pen_dwell_ms: 0,
+            tolerance_mm: 0.05,
+            travel_tolerance_mm: 0.5,
+            disturbed_mm: 40.0,
+            dead_man_ms: 100,
+            blind_ms: 5,
+            watchdog_ms: 10,
+            host_silence_ms: 500,
+            drive_delay_ms: 2,
+            period_ms: 1.0,
+            raw_wire: true,
+        }
+    }
+}

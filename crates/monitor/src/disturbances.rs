@@ -1,0 +1,186 @@
+//! What is disturbed: feedback, machine, drives, references.
+//!
+//! A disturbance lasts until its end and for [`SETTLE_MS`] more.
+
+use crate::bounds::SETTLE_MS;
+use crate::cell::{AXES_MAX, Cell};
+use crate::moment::{Command, Input, Report};
+use crate::motion::Motion;
+
+/// Part of half a motor turn up to which a reference is certain: near the middle between two turns either may be taken.
+const CERTAIN_PART: f64 = 0.98;
+
+/// What is disturbed.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Disturbances {
+    feedback: [bool; AXES_MAX],
+    deaf: [bool; AXES_MAX],
+    machine: bool,
+    /// Whether the reference is not the true one: it was taken on a wrong motor turn.
+    misreferenced: bool,
+    /// The value before the last command to home, while that is not answered.
+    before_homing: Option<bool>,
+    feedback_ms: Option<u64>,
+    machine_ms: Option<u64>,
+    deaf_ms: [Option<u64>; AXES_MAX],
+    now_ms: u64,
+}
+
+impl Disturbances {
+    pub(crate) fn step(&mut self, now_ms: u64) {
+        self.now_ms = now_ms;
+        if self.feedback.contains(&true) {
+            self.feedback_ms = Some(now_ms);
+        }
+        if self.machine {
+            self.machine_ms = Some(now_ms);
+        }
+        for (since, deaf) in self.deaf_ms.iter_mut().zip(self.deaf) {
+            if deaf {
+                *since = Some(now_ms);
+            }
+        }
+    }
+
+    pub(crate) fn take(&mut self, cell: &Cell, motion: &Motion, input: &Input) {
+        match *input {
+            Input::Feedback { axis, disturbed } => {
+                self.feedback
+                    .iter_mut()
+                    .skip(axis)
+                    .take(1)
+                    .for_each(|flag| *flag = disturbed);
+            }
+            Input::Drive { axis, deaf } => self.deaf.iter_mut().skip(axis).take(1).for_each(|flag| *flag = deaf),
+            Input::Machine { disturbed } => self.machine = disturbed,
+            Input::Commanded(Command::Home) => self.home(is_off(cell, motion, |axis| cell.joints[axis].mark_rad)),
+            Input::Commanded(Command::HomeAt { pose_rad }) => {
+                self.home(is_off(cell, motion, |axis| {
+                    pose_rad.get(axis).copied().unwrap_or(f64::NAN)
+                }));
+            }
+            Input::Restarted => (self.misreferenced, self.before_homing) = (false, None),
+            _ => {}
+        }
+    }
+
+    pub(crate) fn hear(&mut self, report: &Report) {
+        match report {
+            Report::Accepted(Command::Home | Command::HomeAt { .. }) => self.before_homing = None,
+            Report::Refused(Command::Home | Command::HomeAt { .. }) => {
+                if let Some(before) = self.before_homing.take() {
+                    self.misreferenced = before;
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn home(&mut self, is_off: bool) {
+        self.before_homing.get_or_insert(self.misreferenced);
+        self.misreferenced = is_off;
+    }
+
+    fn recent(&self, since_ms: Option<u64>) -> bool {
+        since_ms.is_some_and(|since_ms| self.now_ms.saturating_sub(since_ms) <= SETTLE_MS)
+    }
+
+    /// Whether an axis shows a position that is not true, or did a moment ago.
+    pub(crate) fn feedback(&self) -> bool {
+        self.recent(self.feedback_ms)
+    }
+
+    /// Whether frames, slaves or drives are disturbed, or were a moment ago.
+    pub(crate) fn machine(&self) -> bool {
+        self.recent(self.machine_ms) || self.deaf_ms.iter().any(|since_ms| self.recent(*since_ms))
+    }
+
+    /// Whether the drive of an axis cannot obey, or could not a moment ago.
+    pub(crate) fn deaf(&self, axis: usize) -> bool {
+        self.deaf_ms.get(axis).is_some_and(|since_ms| self.recent(*since_ms))
+    }
+
+    /// Whether the controller cannot know where the joints are.
+    pub(crate) fn misreferenced(&self) -> bool {
+        self.misreferenced || self.before_homing == Some(true)
+    }
+
+    /// Whether nothing is disturbed, now and a moment ago.
+    pub(crate) fn none(&self) -> bool {
+        !self.feedback() && !self.machine() && !self.misreferenced()
+    }
+}
+
+/// Whether homing near these angles takes a wrong motor turn of an axis.
+fn is_off(cell: &Cell, motion: &Motion, near: impl Fn(usize) -> f64) -> bool {
+    motion.each_axis().any(|axis| {
+        let sure = 0.5 * CERTAIN_PART * cell.joints[axis].turn_rad.abs();
+        // A NaN is not sure.
+        !((motion.angles_rad[axis] - near(axis)).abs() < sure)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_disturbance_settles_after_its_end() {
+        let (cell, motion) = (Cell::default(), Motion::default());
+        let mut disturbances = Disturbances::default();
+        assert!(disturbances.none());
+        disturbances.take(
+            &cell,
+            &motion,
+            &Input::Feedback {
+                axis: 1,
+                disturbed: true,
+            },
+        );
+        disturbances.take(
+            &cell,
+            &motion,
+            &Input::Feedback {
+                axis: 99,
+                disturbed: true,
+            },
+        );
+        disturbances.step(5);
+        assert!(disturbances.feedback() && !disturbances.machine());
+        disturbances.take(
+            &cell,
+            &motion,
+            &Input::Feedback {
+                axis: 1,
+                disturbed: false,
+            },
+        );
+        disturbances.step(5 + SETTLE_MS);
+        assert!(disturbances.feedback());
+        disturbances.step(6 + SETTLE_MS);
+        assert!(disturbances.none());
+    }
+
+    #[test]
+    fn homing_on_a_wrong_turn_is_known_until_homed_where_the_joints_are() {
+        let cell = Cell::default();
+        let mut motion = Motion {
+            axes: 4,
+            ..Motion::default()
+        };
+        motion.angles_rad[0] = 0.3 + 0.27;
+        (motion.angles_rad[1], motion.angles_rad[2]) = (0.3, 0.3);
+        let mut disturbances = Disturbances::default();
+        disturbances.take(&cell, &motion, &Input::Commanded(Command::Home));
+        assert!(disturbances.misreferenced(), "0.27 rad are more than half of a turn");
+        disturbances.hear(&Report::Refused(Command::Home));
+        assert!(!disturbances.misreferenced(), "a refused command changes nothing");
+        disturbances.take(&cell, &motion, &Input::Commanded(Command::Home));
+        disturbances.hear(&Report::Accepted(Command::Home));
+        let pose_rad = [0.57, 0.3, 0.3, 0.0];
+        disturbances.take(&cell, &motion, &Input::Commanded(Command::HomeAt { pose_rad }));
+        assert!(disturbances.misreferenced(), "not answered yet");
+        disturbances.hear(&Report::Accepted(Command::HomeAt { pose_rad }));
+        assert!(!disturbances.misreferenced());
+    }
+}

@@ -1,0 +1,300 @@
+//! What the tool was ordered to draw, and the ink that it left.
+//!
+//! A drawing is a chain of legs. The tool is looked for on the legs around the one where it was last, and only if it is
+//! not there on all legs nearby.
+
+mod grid;
+mod ink;
+mod leg;
+
+use crate::bounds::Bounds;
+use crate::cell::Cell;
+use crate::moment::{Command, Input, Report};
+use crate::vector::{Vector, is_finite};
+use grid::Grid;
+use ink::Ink;
+use leg::Leg;
+
+/// Side of a cell, mm. Legs are entered at places a quarter of a cell from each of their points.
+const CELL_MM: f64 = 4.0;
+/// Longest leg, in half cells, that is entered into the grid; longer ones are compared every time.
+const LONG_HALF_CELLS: f64 = 2_000.0;
+/// Most long legs; more are not judged.
+const LONG_MAX: usize = 64;
+/// Legs around the last one that are looked at first: one before, and those after it.
+const BEFORE: usize = 1;
+const AFTER: usize = 5;
+/// Distance between places of a leg that are checked for ink, mm.
+const STEP_MM: f64 = 0.5;
+/// Moves and pen orders that are remembered.
+const SINGLES_MAX: usize = 8;
+/// Distance from a leg with the pen up within which the speed is that of travel, mm.
+const TRAVEL_NEAR_MM: f64 = 3.0;
+
+/// Where the tool is on the drawing.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Place {
+    /// Whether the tool is within the tolerance of a leg, or lifted above one.
+    pub(crate) is_on_path: bool,
+    /// Distance of the leg that was nearest among those looked at, mm.
+    pub(crate) off_mm: f64,
+    /// Whether only legs with the pen down are near.
+    pub(crate) draws: bool,
+}
+
+/// The present drawing, and single orders.
+#[derive(Clone, Debug)]
+pub(crate) struct Drawing {
+    job: Option<u16>,
+    /// The job that was ordered and has not begun.
+    next: Option<u16>,
+    end: Option<Vector>,
+    legs: Vec<Leg>,
+    grid: Grid,
+    long: Vec<u32>,
+    /// Whether there are more legs than can be judged.
+    is_too_much: bool,
+    /// Vertices that arrived, and how many of them belong to the path.
+    vertices: u32,
+    limit: u32,
+    cursor: usize,
+    singles: [Option<(Command, Leg)>; SINGLES_MAX],
+    single: usize,
+    ink: Ink,
+    /// Whether the ink may be elsewhere than ordered.
+    pub(crate) was_disturbed: bool,
+    /// Whether this drawing has been reported as finished, and whether that was in this millisecond.
+    is_told: bool,
+    pub(crate) is_finished_now: bool,
+}
+
+impl Drawing {
+    pub(crate) fn new() -> Self {
+        Self {
+            job: None,
+            next: None,
+            end: None,
+            legs: Vec::new(),
+            grid: Grid::new(CELL_MM),
+            long: Vec::new(),
+            is_too_much: false,
+            vertices: 0,
+            limit: u32::MAX,
+            cursor: 0,
+            singles: [None; SINGLES_MAX],
+            single: 0,
+            ink: Ink::new(),
+            was_disturbed: false,
+            is_told: false,
+            is_finished_now: false,
+        }
+    }
+
+    /// Takes an input; `tool` is where the tool is.
+    pub(crate) fn take(&mut self, cell: &Cell, bounds: &Bounds, tool: Option<Vector>, input: &Input) {
+        match *input {
+            Input::Commanded(Command::Draw { job }) => self.next = Some(job),
+            Input::Commanded(command @ Command::Move { position_mm }) => {
+                self.order_single(command, tool, position_mm, bounds);
+            }
+            Input::Commanded(command @ Command::Pen { down }) => {
+                if let Some([x, y, _]) = tool {
+                    let lift_mm = if down { 0.0 } else { cell.paper.pen_lift_mm };
+                    self.order_single(command, tool, [x, y, cell.paper.pen_down_z_mm + lift_mm], bounds);
+                }
+            }
+            Input::PathVertex {
+                job,
+                index,
+                position_mm,
+                pen_down,
+            } => {
+                if self.next == Some(job) && index == 0 {
+                    self.begin(job, tool);
+                }
+                if self.job == Some(job) && index >= self.vertices {
+                    self.vertices = index.saturating_add(1);
+                    self.append(position_mm, pen_down, bounds);
+                }
+            }
+            Input::Restarted => (self.job, self.next) = (None, None),
+            _ => {}
+        }
+    }
+
+    /// Takes a report.
+    pub(crate) fn hear(&mut self, tool: Option<Vector>, report: &Report) {
+        match *report {
+            Report::Accepted(Command::Draw { job }) if self.next == Some(job) => self.begin(job, tool),
+            Report::Refused(Command::Draw { job }) if self.next == Some(job) => self.next = None,
+            Report::Refused(command @ (Command::Move { .. } | Command::Pen { .. })) => {
+                let refused = self
+                    .singles
+                    .iter_mut()
+                    .find(|single| single.is_some_and(|(order, _)| order == command));
+                refused.into_iter().for_each(|single| *single = None);
+            }
+            Report::Finished { job } if self.job == Some(job) && !self.is_told => {
+                (self.is_told, self.is_finished_now) = (true, true);
+            }
+            Report::VertexRefused { job, index } if self.job == Some(job) => self.limit = self.limit.min(index),
+            _ => {}
+        }
+    }
+
+    fn begin(&mut self, job: u16, tool: Option<Vector>) {
+        (self.job, self.next) = (Some(job), None);
+        self.end = tool;
+        self.legs.clear();
+        self.grid.clear();
+        self.long.clear();
+        self.ink.clear();
+        (self.vertices, self.limit, self.cursor) = (0, u32::MAX, 0);
+        (self.is_too_much, self.was_disturbed, self.is_told) = (false, false, false);
+    }
+
+    fn order_single(&mut self, command: Command, tool: Option<Vector>, to: Vector, bounds: &Bounds) {
+        let Some(from) = tool.filter(|_| is_finite(&to)) else {
+            return;
+        };
+        let leg = Leg::new(from, to, false, bounds.touch_z_mm);
+        if let Some(single) = self.singles.get_mut(self.single) {
+            *single = Some((command, leg));
+        }
+        self.single = (self.single + 1) % SINGLES_MAX;
+    }
+
+    fn append(&mut self, to: Vector, pen_down: bool, bounds: &Bounds) {
+        let Some(from) = self.end.or(Some(to)).filter(|_| is_finite(&to)) else {
+            return;
+        };
+        self.end = Some(to);
+        let Ok(number) = u32::try_from(self.legs.len()) else {
+            return;
+        };
+        self.legs.push(Leg::new(from, to, pen_down, bounds.touch_z_mm));
+        let half_cells = (to[0] - from[0]).hypot(to[1] - from[1]) / (0.5 * CELL_MM);
+        if !(half_cells < LONG_HALF_CELLS) {
+            self.is_too_much |= self.long.len() >= LONG_MAX;
+            if !self.is_too_much {
+                self.long.push(number);
+            }
+            return;
+        }
+        let steps = half_cells.ceil().max(1.0);
+        let mut last = None;
+        for step in 0..=steps as u32 {
+            let [x, y, _] = self.legs.last().map_or(to, |leg| leg.at(f64::from(step) / steps));
+            let cell = self.grid.cell(x, y);
+            if last != Some(cell) {
+                self.grid.insert(cell, number);
+                last = Some(cell);
+            }
+        }
+    }
+
+    /// Numbers of the legs around the last one.
+    fn around(&self) -> std::ops::Range<usize> {
+        self.cursor.saturating_sub(BEFORE)..(self.cursor + AFTER).min(self.legs.len())
+    }
+
+    /// Whether any leg within a distance satisfies a condition: first those around the last one, then all others.
+    #[inline]
+    fn any_leg(&self, tool: &Vector, distance_mm: f64, mut is_wanted: impl FnMut(usize, &Leg) -> bool) -> bool {
+        let mut wanted = |number: usize| self.legs.get(number).is_some_and(|leg| is_wanted(number, leg));
+        self.around().any(&mut wanted)
+            || self.long.iter().any(|number| wanted(*number as usize))
+            || self
+                .grid
+                .any_near(tool[0], tool[1], distance_mm + 0.25 * CELL_MM, |number| {
+                    wanted(number as usize)
+                })
+    }
+
+    /// Finds the tool on the path; `more_mm` widens the tolerances.
+    pub(crate) fn locate(&mut self, cell: &Cell, bounds: &Bounds, tool: &Vector, more_mm: f64) -> Place {
+        let mut off_squared = f64::INFINITY;
+        let mut found = self.cursor;
+        let tolerance = |leg: &Leg| {
+            more_mm
+                + if leg.pen_down {
+                    bounds.drawn_mm
+                } else {
+                    bounds.travel_mm
+                }
+        };
+        let widest_mm = more_mm + bounds.travel_mm.max(bounds.drawn_mm);
+        let is_on_leg = self.any_leg(tool, widest_mm, |number, leg| {
+            let squared = leg.distance_squared(tool);
+            off_squared = off_squared.min(squared);
+            let tolerance = tolerance(leg);
+            let is_near = squared <= tolerance * tolerance;
+            if is_near {
+                found = number;
+            }
+            is_near
+        });
+        // Between two parts of a drawing the pen is lifted and lowered above the path.
+        let lift_mm = cell.paper.pen_lift_mm;
+        let is_on_path = is_on_leg
+            || self.legs.is_empty()
+            || self.is_too_much
+            || self.any_leg(tool, widest_mm, |_, leg| leg.is_lifted(tool, lift_mm, tolerance(leg)));
+        self.cursor = found;
+        Place {
+            is_on_path,
+            off_mm: off_squared.sqrt(),
+            draws: is_on_leg && self.legs.get(found).is_some_and(|leg| leg.pen_down) && self.is_far_from_travel(tool),
+        }
+    }
+
+    fn is_far_from_travel(&self, tool: &Vector) -> bool {
+        let is_far = |leg: &Leg| leg.pen_down || leg.distance_squared(tool) > TRAVEL_NEAR_MM * TRAVEL_NEAR_MM;
+        self.legs.get(self.around()).is_some_and(|legs| legs.iter().all(is_far))
+    }
+
+    /// Whether the pen was ordered to touch within a distance of where the tool is.
+    pub(crate) fn may_touch(&self, bounds: &Bounds, tool: &Vector, more_mm: f64) -> bool {
+        let near = |leg: &Leg| {
+            let tolerance = more_mm
+                + if leg.pen_down {
+                    bounds.drawn_mm
+                } else {
+                    bounds.travel_mm
+                };
+            leg.touch_distance_squared(tool) <= tolerance * tolerance
+        };
+        let widest_mm = more_mm + bounds.travel_mm.max(bounds.drawn_mm);
+        self.is_too_much
+            || self.any_leg(tool, widest_mm, |_, leg| near(leg))
+            || self.singles.iter().flatten().any(|(_, leg)| near(leg))
+    }
+
+    /// Adds the ink of this millisecond.
+    pub(crate) fn add_ink(&mut self, tool: &Vector) {
+        self.ink.add(tool[0], tool[1]);
+    }
+
+    /// The first place of a leg with the pen down that has no ink within a distance.
+    pub(crate) fn missing(&self, distance_mm: f64) -> Option<Vector> {
+        if self.was_disturbed || self.is_too_much {
+            return None;
+        }
+        let legs = self.legs.iter().take(self.limit as usize);
+        for leg in legs.filter(|leg| leg.pen_down && leg.touches()) {
+            let length_mm = (leg.to[0] - leg.from[0]).hypot(leg.to[1] - leg.from[1]);
+            let steps = (length_mm / STEP_MM).ceil().clamp(1.0, 1.0e6);
+            for step in 0..=steps as u32 {
+                let place = leg.at(f64::from(step) / steps);
+                let is_low = leg.touch_distance_squared(&place) <= f64::EPSILON;
+                if is_low && !self.ink.covers(place[0], place[1], distance_mm) {
+                    return Some(place);
+                }
+            }
+        }
+        None
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,98 @@
+use super::*;
+use crate::vector::length;
+use proptest::prelude::*;
+
+/// A drawing with this path, which began at the first point.
+fn drawing(points: &[([f64; 2], bool)]) -> (Cell, Bounds, Drawing) {
+    let cell = Cell::default();
+    let bounds = Bounds::new(&cell);
+    let mut drawing = Drawing::new();
+    drawing.take(&cell, &bounds, None, &Input::Commanded(Command::Draw { job: 1 }));
+    for (index, ([x, y], pen_down)) in (0..).zip(points) {
+        let vertex = Input::PathVertex {
+            job: 1,
+            index,
+            position_mm: [*x, *y, -850.0],
+            pen_down: *pen_down,
+        };
+        drawing.take(&cell, &bounds, None, &vertex);
+    }
+    (cell, bounds, drawing)
+}
+
+proptest! {
+    #[test]
+    fn every_point_of_the_path_is_on_it_and_points_far_from_it_are_not(
+        points in proptest::collection::vec(((-300.0_f64..300.0, -300.0_f64..300.0), any::<bool>()), 2..40),
+        leg in 0_usize..38,
+        part in 0.0_f64..1.0,
+        aside in (-20.0_f64..20.0, -20.0_f64..20.0),
+    ) {
+        let points: Vec<_> = points.into_iter().map(|((x, y), pen_down)| ([x, y], pen_down)).collect();
+        let (cell, bounds, mut drawing) = drawing(&points);
+        let leg = leg % (points.len() - 1);
+        let (from, to) = (points[leg].0, points[leg + 1].0);
+        let on = [from[0] + part * (to[0] - from[0]), from[1] + part * (to[1] - from[1]), -850.0];
+        prop_assert!(drawing.locate(&cell, &bounds, &on, 0.0).is_on_path);
+        prop_assert!(drawing.may_touch(&bounds, &on, 0.0));
+        let beside = [on[0] + aside.0, on[1] + aside.1, -850.0];
+        // The distance from all legs, leg by leg.
+        let near = |pen_down: bool, tolerance: f64| drawing.legs.iter().any(|leg| {
+            leg.pen_down == pen_down && leg.distance_squared(&beside) <= tolerance * tolerance
+        });
+        let expected = near(true, bounds.drawn_mm) || near(false, bounds.travel_mm);
+        prop_assert_eq!(drawing.may_touch(&bounds, &beside, 0.0), expected);
+        prop_assert_eq!(drawing.locate(&cell, &bounds, &beside, 0.0).is_on_path, expected);
+    }
+
+    #[test]
+    fn nonsense_in_a_path_panics_nowhere(
+        x in proptest::num::f64::ANY, y in proptest::num::f64::ANY, at in proptest::num::f64::ANY,
+    ) {
+        let (cell, bounds, mut drawing) = drawing(&[([0.0, 0.0], false), ([x, y], true), ([x, 0.0], true)]);
+        drawing.locate(&cell, &bounds, &[at, x, y], at);
+        drawing.may_touch(&bounds, &[at, y, x], x);
+        drawing.add_ink(&[x, at, y]);
+        drawing.missing(at);
+    }
+}
+
+#[test]
+fn repeated_vertices_are_taken_once_and_a_refused_drawing_leaves_the_present_one() {
+    let (cell, bounds, mut drawing) = drawing(&[([0.0, 0.0], false), ([10.0, 0.0], true)]);
+    let again = Input::PathVertex {
+        job: 1,
+        index: 1,
+        position_mm: [50.0, 0.0, -850.0],
+        pen_down: true,
+    };
+    drawing.take(&cell, &bounds, None, &again);
+    assert!(!drawing.may_touch(&bounds, &[30.0, 0.0, -850.0], 0.0));
+    drawing.take(&cell, &bounds, None, &Input::Commanded(Command::Draw { job: 2 }));
+    drawing.hear(None, &Report::Refused(Command::Draw { job: 2 }));
+    drawing.hear(None, &Report::Accepted(Command::Draw { job: 2 }));
+    assert!(drawing.may_touch(&bounds, &[5.0, 0.0, -850.0], 0.0));
+}
+
+#[test]
+fn a_leg_that_is_too_long_for_the_grid_is_a_leg() {
+    let (_, bounds, drawing) = drawing(&[([0.0, 0.0], false), ([1.0e7, 0.0], true), ([1.0e7, 5.0], true)]);
+    assert!(drawing.may_touch(&bounds, &[5.0e6, 0.1, -850.0], 0.0));
+    assert!(!drawing.may_touch(&bounds, &[5.0e6, 2.0, -850.0], 0.0));
+}
+
+#[test]
+fn ink_is_missing_where_there_is_none() {
+    let (_, _, mut drawing) = drawing(&[([0.0, 0.0], false), ([10.0, 0.0], true)]);
+    for step in 0..=20 {
+        let x = 0.5 * f64::from(step);
+        if !(4.0..6.0).contains(&x) {
+            drawing.add_ink(&[x, 0.1, -850.0]);
+        }
+    }
+    let missing = drawing.missing(0.5).expect("a gap of 2.5 mm");
+    assert!(length([missing[0] - 4.5, missing[1], 0.0]) < 0.6, "{missing:?}");
+    assert_eq!(drawing.missing(1.5), None);
+    drawing.was_disturbed = true;
+    assert_eq!(drawing.missing(0.5), None);
+}

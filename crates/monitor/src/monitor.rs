@@ -1,0 +1,124 @@
+//! The monitor: takes one millisecond after the other and tells the first broken rule of each.
+
+use crate::bounds::Bounds;
+use crate::cell::Cell;
+use crate::disturbances::Disturbances;
+use crate::drawing::{Drawing, Place};
+use crate::moment::{Input, Moment};
+use crate::motion::Motion;
+use crate::orders::Orders;
+use crate::rules::Rules;
+use crate::scene::{self, Scene};
+use crate::violation::Violation;
+
+/// The judge of a controller.
+///
+/// It never panics, whatever it is given, and can be stepped on after a violation.
+#[derive(Clone, Debug)]
+pub struct Monitor {
+    cell: Cell,
+    bounds: Bounds,
+    motion: Motion,
+    orders: Orders,
+    disturbances: Disturbances,
+    drawing: Drawing,
+    slide_mm: f64,
+    rules: Rules,
+}
+
+impl Monitor {
+    /// A monitor of a controller that has just started.
+    #[must_use]
+    pub fn new(cell: Cell) -> Self {
+        Self {
+            bounds: Bounds::new(&cell),
+            cell,
+            motion: Motion::default(),
+            orders: Orders::new(),
+            disturbances: Disturbances::default(),
+            drawing: Drawing::new(),
+            slide_mm: 0.0,
+            rules: Rules::default(),
+        }
+    }
+
+    /// Takes another configuration. Call it before the moment whose inputs contain [`Input::Configured`].
+    pub fn configure(&mut self, cell: Cell) {
+        self.bounds = Bounds::new(&cell);
+        self.cell = cell;
+    }
+
+    /// Takes one millisecond. After a gap in the time, differences begin anew.
+    ///
+    /// # Errors
+    /// The first rule that this millisecond breaks.
+    pub fn step(&mut self, moment: &Moment<'_>) -> Result<(), Violation> {
+        self.motion.step(&self.cell, &self.bounds, moment);
+        self.drawing.is_finished_now = false;
+        for input in moment.inputs {
+            self.take(input);
+        }
+        self.disturbances.step(moment.time_ms);
+        self.orders
+            .step(&self.cell, &self.bounds, &self.motion, &self.disturbances);
+        for report in moment.reports {
+            self.disturbances.hear(report);
+            self.orders.hear(&self.bounds, &self.motion, &self.disturbances, report);
+            self.drawing.hear(self.motion.tool, report);
+        }
+        let place = self.follow(moment);
+        let scene = Scene {
+            cell: &self.cell,
+            bounds: &self.bounds,
+            motion: &self.motion,
+            orders: &self.orders,
+            disturbances: &self.disturbances,
+            drawing: &self.drawing,
+            place,
+            slide_mm: self.slide_mm,
+            moment,
+        };
+        self.rules.check(&scene).map_err(|(rule, text)| Violation {
+            time_ms: moment.time_ms,
+            rule,
+            text,
+        })
+    }
+
+    /// Checks what can be told only at the end.
+    ///
+    /// # Errors
+    /// The first rule that the whole run breaks.
+    pub fn end(&mut self) -> Result<(), Violation> {
+        self.rules.end().map_err(|(rule, text)| Violation {
+            time_ms: self.motion.now_ms,
+            rule,
+            text,
+        })
+    }
+
+    fn take(&mut self, input: &Input) {
+        self.disturbances.take(&self.cell, &self.motion, input);
+        self.orders
+            .take(&self.cell, &self.bounds, &self.motion, &self.disturbances, input);
+        self.drawing.take(&self.cell, &self.bounds, self.motion.tool, input);
+        self.rules.take(input);
+    }
+
+    /// Adds the ink, and looks for the tool on the drawing.
+    fn follow(&mut self, moment: &Moment<'_>) -> Option<Place> {
+        let is_stopping = self.orders.is_stopping(&self.bounds, self.motion.now_ms);
+        if self.disturbances.none() && !is_stopping {
+            self.slide_mm = scene::slide_mm(&self.bounds, &self.motion);
+        }
+        let tool = self.motion.tool?;
+        if moment.pen_touches {
+            self.drawing.add_ink(&tool);
+        }
+        self.drawing.was_disturbed |= self.disturbances.feedback() || self.disturbances.misreferenced();
+        let more_mm = scene::more_mm(&self.cell, &self.disturbances, is_stopping, self.slide_mm)?;
+        self.orders
+            .is_drawing(self.motion.now_ms)
+            .then(|| self.drawing.locate(&self.cell, &self.bounds, &tool, more_mm))
+    }
+}

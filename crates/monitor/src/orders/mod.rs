@@ -1,0 +1,398 @@
+//! What the operator ordered and the controller has answered: which power and which motion is permitted now.
+//!
+//! A command permits as soon as it arrives; a refusal takes the permission back. A command obliges only when it has been
+//! accepted. Where the monitor cannot know what the controller decided, both are right.
+
+mod pending;
+mod stop;
+
+pub(crate) use stop::{Stop, StopCause};
+
+use crate::bounds::{Bounds, PIPELINE_MS, REPORT_MS};
+use crate::cell::Cell;
+use crate::disturbances::Disturbances;
+use crate::moment::{Command, Input, Mode, Report};
+use crate::motion::Motion;
+use crate::vector::length;
+use crate::violation::Rule;
+use pending::Pending;
+use stop::STOP_OPEN_MS;
+
+/// The order that the robot moves for.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) enum Order {
+    /// None: the robot stands.
+    #[default]
+    None,
+    /// A jog.
+    Jog,
+    /// A move, or the pen alone.
+    Single,
+    /// A drawing.
+    Path,
+    /// A motion that was cancelled.
+    Ending,
+}
+
+/// What the operator ordered, as far as it is known.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Orders {
+    pub(crate) is_configured: bool,
+    is_homed: bool,
+    unhomed_ms: Option<u64>,
+    home_ordered_ms: Option<u64>,
+    is_enabled: bool,
+    enabling: Pending,
+    disabling: Pending,
+    /// When the order that permitted power ended, ms.
+    pub(crate) power_ended_ms: Option<u64>,
+    pub(crate) order: Order,
+    /// Since when the motion has to come to rest, and whether for a silent host.
+    held: Option<(u64, bool)>,
+    moving: Pending,
+    jogging: Pending,
+    path: Pending,
+    holding: Pending,
+    cancelling: Pending,
+    commanded_ms: u64,
+    /// When a jog has to be at rest, ms.
+    jog_ends_ms: Option<u64>,
+    pub(crate) stop: Option<Stop>,
+    needs_acknowledgement: bool,
+    acknowledged: bool,
+    fault_reported: bool,
+    stop_open_since_ms: Option<u64>,
+    cut_since_ms: Option<u64>,
+    override_percent: u8,
+    override_asked_percent: u8,
+    override_before: (u8, u64),
+    pub(crate) mode: Option<Mode>,
+}
+
+/// How long a cut has to last beyond the host's silence before the drawing must be held, ms: what was on the line arrives.
+const CUT_MS: u64 = 50;
+/// The override at the start, percent.
+const OVERRIDE_PERCENT: u8 = 100;
+
+impl Orders {
+    pub(crate) fn new() -> Self {
+        Self {
+            override_percent: OVERRIDE_PERCENT,
+            ..Self::default()
+        }
+    }
+
+    /// Advances to a millisecond, before its inputs.
+    pub(crate) fn step(&mut self, cell: &Cell, bounds: &Bounds, motion: &Motion, disturbances: &Disturbances) {
+        let now_ms = motion.now_ms;
+        if self
+            .stop_open_since_ms
+            .is_some_and(|since_ms| now_ms.saturating_sub(since_ms) >= STOP_OPEN_MS)
+        {
+            self.acknowledged = false;
+            self.begin_stop(StopCause::Input, motion, bounds, disturbances);
+        }
+        if let Some(cut_ms) = self.cut_since_ms {
+            let silent_ms = cut_ms + u64::from(cell.host_silence_ms);
+            if now_ms >= silent_ms + CUT_MS && self.order == Order::Path && self.held.is_none() {
+                self.held = Some((silent_ms, true));
+            }
+        }
+        if disturbances.machine()
+            && let Some(stop) = &mut self.stop
+        {
+            stop.wait_for_watchdog();
+        }
+        if self.enabling.take_lost(now_ms) {
+            self.is_enabled = true;
+            self.stop = None;
+        }
+        if self.moving.take_lost(now_ms) {
+            self.begin(Order::Single);
+        }
+        if self.path.take_lost(now_ms) {
+            self.begin(Order::Path);
+        }
+        for unanswered in [
+            &mut self.disabling,
+            &mut self.holding,
+            &mut self.cancelling,
+            &mut self.jogging,
+        ] {
+            // Without an answer these oblige to nothing.
+            unanswered.take_lost(now_ms);
+        }
+    }
+
+    /// Takes an input.
+    pub(crate) fn take(
+        &mut self,
+        cell: &Cell,
+        bounds: &Bounds,
+        motion: &Motion,
+        disturbances: &Disturbances,
+        input: &Input,
+    ) {
+        match *input {
+            Input::Configured => self.is_configured = true,
+            Input::Commanded(Command::Stop) => {
+                self.begin_stop(StopCause::Command, motion, bounds, disturbances);
+            }
+            Input::Commanded(command) => self.command(cell, bounds, motion.now_ms, command),
+            Input::StopInput(true) => _ = self.stop_open_since_ms.get_or_insert(motion.now_ms),
+            Input::StopInput(false) => self.stop_open_since_ms = None,
+            Input::Link { cut: true } => _ = self.cut_since_ms.get_or_insert(motion.now_ms),
+            Input::Link { cut: false } => self.cut_since_ms = None,
+            Input::Restarted => self.restart(motion, bounds, disturbances),
+            _ => {}
+        }
+    }
+
+    fn restart(&mut self, motion: &Motion, bounds: &Bounds, disturbances: &Disturbances) {
+        let (open, cut) = (self.stop_open_since_ms, self.cut_since_ms);
+        self.begin_stop(StopCause::Restart, motion, bounds, disturbances);
+        *self = Self {
+            stop: self.stop,
+            power_ended_ms: self.power_ended_ms,
+            stop_open_since_ms: open,
+            cut_since_ms: cut,
+            override_before: (self.percent_max(motion.now_ms), motion.now_ms + bounds.slowing_ms),
+            ..Self::new()
+        };
+    }
+
+    fn command(&mut self, cell: &Cell, bounds: &Bounds, now_ms: u64, command: Command) {
+        match command {
+            Command::Home | Command::HomeAt { .. } => self.home_ordered_ms = Some(now_ms),
+            Command::Enable if self.needs_acknowledgement && !self.acknowledged => {}
+            Command::Enable => self.enabling.ask(now_ms),
+            Command::Disable => self.disabling.ask(now_ms),
+            Command::Jog { velocity_mm_s } => {
+                let ends_ms = now_ms + bounds.jog_ms(cell, length(velocity_mm_s));
+                self.jog_ends_ms = Some(self.jog_ends_ms.map_or(ends_ms, |ms| ms.max(ends_ms)));
+                self.jogging.ask(now_ms);
+            }
+            Command::Move { .. } | Command::Pen { .. } => self.moving.ask(now_ms),
+            Command::Draw { .. } | Command::Resume => self.path.ask(now_ms),
+            Command::Hold => self.holding.ask(now_ms),
+            Command::Cancel => self.cancelling.ask(now_ms),
+            Command::Override { percent } => {
+                if (10..=200).contains(&percent) {
+                    self.override_asked_percent = self.override_asked_percent.max(percent);
+                }
+            }
+            Command::Acknowledge => self.acknowledged = true,
+            Command::Stop => {}
+        }
+        if matches!(
+            command,
+            Command::Jog { .. } | Command::Move { .. } | Command::Pen { .. } | Command::Draw { .. } | Command::Resume
+        ) {
+            self.commanded_ms = now_ms;
+        }
+    }
+
+    /// Takes a report.
+    pub(crate) fn hear(&mut self, bounds: &Bounds, motion: &Motion, disturbances: &Disturbances, report: &Report) {
+        let now_ms = motion.now_ms;
+        match report {
+            Report::Mode(mode) => self.hear_mode(now_ms, *mode),
+            Report::Fault(Some(_)) if self.fault_reported => {}
+            Report::Fault(Some(_)) => {
+                self.fault_reported = true;
+                self.begin_stop(StopCause::Fault, motion, bounds, disturbances);
+            }
+            Report::Fault(None) => {
+                if std::mem::take(&mut self.fault_reported) {
+                    self.needs_acknowledgement = false;
+                }
+            }
+            Report::Homed(is_homed) => {
+                self.is_homed = *is_homed;
+                if !is_homed {
+                    self.unhomed_ms = Some(now_ms);
+                }
+            }
+            Report::Accepted(command) => self.accepted(bounds, now_ms, *command),
+            Report::Refused(command) => self.refused(*command),
+            Report::VertexRefused { .. } | Report::Finished { .. } | Report::Counters(_) => {}
+        }
+    }
+
+    fn hear_mode(&mut self, now_ms: u64, mode: Mode) {
+        self.mode = Some(mode);
+        // Older orders are known to be over; a younger one may have been accepted after this mode was sent.
+        let is_recent = now_ms.saturating_sub(self.commanded_ms) < REPORT_MS;
+        if mode.stands() && !is_recent {
+            self.begin(Order::None);
+            self.moving.forget();
+            self.path.forget();
+            self.jogging.forget();
+        }
+        if mode == Mode::Holding && !is_recent && self.order == Order::Path {
+            self.held.get_or_insert((now_ms, false));
+        }
+    }
+
+    fn accepted(&mut self, bounds: &Bounds, now_ms: u64, command: Command) {
+        match command {
+            Command::Enable => {
+                if self.enabling.answer() {
+                    self.is_enabled = true;
+                    self.stop = None;
+                }
+            }
+            Command::Disable => {
+                if self.disabling.answer() {
+                    self.is_enabled = false;
+                    self.begin(Order::None);
+                    self.end_power(now_ms);
+                }
+            }
+            Command::Jog { .. } => {
+                if self.jogging.answer() && self.order != Order::Single {
+                    self.begin(Order::Jog);
+                }
+            }
+            Command::Move { .. } | Command::Pen { .. } => {
+                if self.moving.answer() {
+                    self.begin(Order::Single);
+                }
+            }
+            Command::Draw { .. } | Command::Resume => {
+                if self.path.answer() {
+                    self.begin(Order::Path);
+                }
+            }
+            Command::Hold => {
+                if self.holding.answer() && self.order == Order::Path {
+                    self.held.get_or_insert((now_ms, false));
+                }
+            }
+            Command::Cancel => {
+                if self.cancelling.answer() && self.order != Order::None {
+                    self.begin(Order::Ending);
+                    self.held = Some((now_ms, false));
+                }
+            }
+            Command::Override { percent } => {
+                self.override_before = (self.percent_max(now_ms), now_ms + bounds.slowing_ms);
+                self.override_percent = percent;
+                self.override_asked_percent = 0;
+            }
+            Command::Home | Command::HomeAt { .. } | Command::Stop | Command::Acknowledge => {}
+        }
+    }
+
+    fn refused(&mut self, command: Command) {
+        let pending = match command {
+            Command::Enable => &mut self.enabling,
+            Command::Disable => &mut self.disabling,
+            Command::Jog { .. } => &mut self.jogging,
+            Command::Move { .. } | Command::Pen { .. } => &mut self.moving,
+            Command::Draw { .. } | Command::Resume => &mut self.path,
+            Command::Hold => &mut self.holding,
+            Command::Cancel => &mut self.cancelling,
+            Command::Override { .. } => {
+                self.override_asked_percent = 0;
+                return;
+            }
+            Command::Home | Command::HomeAt { .. } | Command::Stop | Command::Acknowledge => return,
+        };
+        pending.answer();
+    }
+
+    fn begin(&mut self, order: Order) {
+        self.order = order;
+        self.held = None;
+    }
+
+    fn end_power(&mut self, now_ms: u64) {
+        self.power_ended_ms = Some(now_ms);
+    }
+
+    fn begin_stop(&mut self, cause: StopCause, motion: &Motion, bounds: &Bounds, disturbances: &Disturbances) {
+        let now_ms = motion.now_ms;
+        if self.may_have_power() || self.power_ended_ms.is_none() {
+            self.end_power(now_ms);
+        }
+        self.is_enabled = false;
+        self.begin(Order::None);
+        self.jog_ends_ms = None;
+        for pending in [&mut self.enabling, &mut self.moving, &mut self.jogging, &mut self.path] {
+            pending.forget();
+        }
+        if cause != StopCause::Input || self.stop.is_none() {
+            self.acknowledged = false;
+        }
+        self.needs_acknowledgement = true;
+        if self.stop.is_none() {
+            self.stop = Some(Stop::new(cause, motion, bounds, !disturbances.none()));
+        }
+    }
+
+    /// Whether an order permits the drives to have power.
+    pub(crate) fn may_have_power(&self) -> bool {
+        self.is_configured && (self.is_enabled || self.enabling.is_waiting())
+    }
+
+    /// Whether the joint angles may be known.
+    pub(crate) fn may_be_homed(&self) -> bool {
+        let ordered = self.home_ordered_ms.is_some_and(|ordered_ms| {
+            self.unhomed_ms
+                .is_none_or(|unhomed_ms| ordered_ms + REPORT_MS >= unhomed_ms)
+        });
+        self.is_homed || ordered
+    }
+
+    /// Whether an order permits motion now.
+    pub(crate) fn may_move(&self, bounds: &Bounds, now_ms: u64) -> bool {
+        if !(self.may_have_power() && self.may_be_homed()) {
+            return false;
+        }
+        let is_asked = self.moving.is_waiting() || self.path.is_waiting();
+        let is_ordered = match (self.order, self.held) {
+            (Order::Single, _) | (Order::Path, None) => true,
+            (Order::Path | Order::Ending, Some((since_ms, _))) => now_ms <= since_ms + bounds.hold_ms,
+            (Order::None | Order::Jog | Order::Ending, _) => false,
+        };
+        let is_jogged = self.jog_ends_ms.is_some_and(|ends_ms| now_ms <= ends_ms);
+        is_asked || is_ordered || is_jogged
+    }
+
+    /// Whether a jog may be in progress.
+    pub(crate) fn may_jog(&self, now_ms: u64) -> bool {
+        self.jog_ends_ms.is_some_and(|ends_ms| now_ms <= ends_ms)
+    }
+
+    /// The rule that a motion without permission breaks.
+    pub(crate) fn rule_of_rest(&self) -> Rule {
+        match (self.order, self.held) {
+            (Order::Jog, _) => Rule::DeadMan,
+            (Order::Path, Some((_, true))) => Rule::Silence,
+            _ => Rule::Permission,
+        }
+    }
+
+    /// Whether the robot is drawing: on the path, or on its way from it.
+    pub(crate) fn is_drawing(&self, now_ms: u64) -> bool {
+        self.order == Order::Path && !self.moving.is_waiting() && !self.may_jog(now_ms)
+    }
+
+    /// Largest override that may be in effect, percent.
+    pub(crate) fn percent_max(&self, now_ms: u64) -> u8 {
+        let (before, until_ms) = self.override_before;
+        let before = if now_ms <= until_ms { before } else { 0 };
+        self.override_percent.max(before).max(self.override_asked_percent)
+    }
+
+    /// Whether a stop is in progress.
+    pub(crate) fn is_stopping(&self, bounds: &Bounds, now_ms: u64) -> bool {
+        self.stop
+            .as_ref()
+            .is_some_and(|stop| now_ms <= stop.since_ms + stop.duration_ms(bounds) + PIPELINE_MS)
+    }
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,134 @@
+use super::*;
+use crate::moment::{Joint, Moment};
+
+struct Desk {
+    cell: Cell,
+    bounds: Bounds,
+    motion: Motion,
+    disturbances: Disturbances,
+    orders: Orders,
+}
+
+impl Desk {
+    fn new() -> Self {
+        let cell = Cell::default();
+        let mut desk = Self {
+            bounds: Bounds::new(&cell),
+            cell,
+            motion: Motion::default(),
+            disturbances: Disturbances::default(),
+            orders: Orders::new(),
+        };
+        desk.take(Input::Configured);
+        desk.command(Command::Home);
+        desk.command(Command::Enable);
+        desk
+    }
+
+    fn take(&mut self, input: Input) {
+        self.orders
+            .take(&self.cell, &self.bounds, &self.motion, &self.disturbances, &input);
+    }
+
+    fn hear(&mut self, report: &Report) {
+        self.orders.hear(&self.bounds, &self.motion, &self.disturbances, report);
+    }
+
+    fn command(&mut self, command: Command) {
+        self.take(Input::Commanded(command));
+        self.hear(&Report::Accepted(command));
+    }
+
+    fn at(&mut self, time_ms: u64) {
+        let joints = [Joint::default(); 4];
+        let moment = Moment {
+            time_ms,
+            joints: &joints,
+            pen_touches: false,
+            inputs: &[],
+            reports: &[],
+            wire: &[],
+        };
+        self.motion.step(&self.cell, &self.bounds, &moment);
+        self.orders
+            .step(&self.cell, &self.bounds, &self.motion, &self.disturbances);
+    }
+
+    fn may_move(&self) -> bool {
+        self.orders.may_move(&self.bounds, self.motion.now_ms)
+    }
+
+    fn percent(&self) -> u8 {
+        self.orders.percent_max(self.motion.now_ms)
+    }
+}
+
+#[test]
+fn an_override_counts_from_its_command_up_and_from_its_effect_down() {
+    let mut desk = Desk::new();
+    assert_eq!(desk.percent(), 100);
+    desk.take(Input::Commanded(Command::Override { percent: 150 }));
+    assert_eq!(desk.percent(), 150);
+    desk.hear(&Report::Refused(Command::Override { percent: 150 }));
+    assert_eq!(desk.percent(), 100);
+    desk.command(Command::Override { percent: 50 });
+    desk.at(1);
+    assert_eq!(desk.percent(), 100, "the path still slows down");
+    desk.at(desk.bounds.slowing_ms + 1);
+    assert_eq!(desk.percent(), 50);
+    desk.take(Input::Commanded(Command::Override { percent: 201 }));
+    assert_eq!(desk.percent(), 50, "outside of the range");
+}
+
+#[test]
+fn an_answer_that_is_lost_counts_as_yes_and_a_late_one_after_a_stop_as_nothing() {
+    let mut desk = Desk::new();
+    desk.take(Input::Commanded(Command::Draw { job: 1 }));
+    assert!(desk.may_move());
+    desk.at(1_500);
+    assert!(desk.may_move());
+    assert_eq!(desk.orders.order, Order::Path);
+    desk.command(Command::Stop);
+    desk.hear(&Report::Accepted(Command::Enable));
+    desk.hear(&Report::Accepted(Command::Draw { job: 1 }));
+    assert!(!desk.orders.may_have_power() && !desk.may_move());
+}
+
+#[test]
+fn a_stop_needs_an_acknowledgement_before_enabling() {
+    let mut desk = Desk::new();
+    desk.command(Command::Stop);
+    desk.command(Command::Enable);
+    assert!(!desk.orders.may_have_power());
+    desk.command(Command::Acknowledge);
+    desk.command(Command::Enable);
+    assert!(desk.orders.may_have_power() && desk.orders.stop.is_none());
+}
+
+#[test]
+fn an_open_input_outlasts_acknowledgements() {
+    let mut desk = Desk::new();
+    desk.take(Input::StopInput(true));
+    desk.at(3);
+    assert!(desk.orders.may_have_power(), "it may be a pulse");
+    for time_ms in 4..100 {
+        desk.at(time_ms);
+        desk.command(Command::Acknowledge);
+        desk.at(time_ms);
+        desk.command(Command::Enable);
+        assert!(!desk.orders.may_have_power());
+    }
+}
+
+#[test]
+fn a_move_before_a_jog_stays_an_order() {
+    let mut desk = Desk::new();
+    desk.command(Command::Pen { down: true });
+    desk.command(Command::Jog {
+        velocity_mm_s: [1.0, 0.0, 0.0],
+    });
+    desk.at(2_000);
+    assert!(desk.may_move());
+    desk.hear(&Report::Mode(Mode::Idle));
+    assert!(!desk.may_move());
+}

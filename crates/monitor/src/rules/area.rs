@@ -1,0 +1,113 @@
+//! Area: joints stay in their ranges, and the tool in the work area.
+//!
+//! A joint may be 0.005 rad beyond its range: the planner keeps a margin of its own. While something is disturbed or
+//! stopping, the mechanical end stops bound it, 0.05 rad beyond the range.
+//!
+//! The tool may be the following error and 0.3 mm outside the work area, whose floor is also the paper less the pressing
+//! depth. A stop adds how far the tool slides; feedback that is not true adds the deviation that is promised for it. A
+//! robot that finds itself outside may only come nearer: what was outside at rest is allowed, and shrinks.
+
+use crate::scene::{Finding, Scene};
+use crate::vector::Vector;
+use crate::violation::Rule;
+
+/// The rule.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Area {
+    /// How far outside the tool may be, mm: as far as it has been in unsound motion or at the start.
+    found_mm: Option<f64>,
+}
+
+impl Area {
+    pub(crate) fn check(&mut self, scene: &Scene<'_>) -> Finding {
+        let motion = scene.motion;
+        let is_sound = scene.is_sound();
+        for axis in motion.each_axis() {
+            let (angle, joint) = (motion.angles_rad[axis], &scene.bounds.joints[axis]);
+            let more = if is_sound { 0.0 } else { joint.disturbed_rad };
+            if angle < joint.low_rad - more || angle > joint.high_rad + more {
+                let (low, high) = (joint.low_rad - more, joint.high_rad + more);
+                let text = format!("joint {axis} is at {angle:.4} rad, bounds {low:.4} to {high:.4} rad");
+                return Err((Rule::Area, text));
+            }
+        }
+        let Some(tool) = motion.tool else {
+            return Ok(());
+        };
+        let outside_mm = outside_mm(scene, &tool);
+        let (Some(found_mm), Some(more_mm)) = (self.found_mm, scene.more_mm()) else {
+            // The first millisecond, or nobody knows where the joints are.
+            self.found_mm = Some(outside_mm);
+            return Ok(());
+        };
+        let bound_mm = found_mm.max(0.0) + more_mm + scene.bounds.area_mm;
+        if outside_mm > bound_mm {
+            let [x, y, z] = tool;
+            let text = format!(
+                "the tool is at {x:.2}, {y:.2}, {z:.2} mm, {outside_mm:.2} mm outside the work area, bound {bound_mm:.2} mm"
+            );
+            return Err((Rule::Area, text));
+        }
+        if is_sound {
+            self.found_mm = Some(found_mm.min(outside_mm));
+        } else {
+            self.found_mm = Some(found_mm.max(outside_mm - scene.bounds.area_mm));
+        }
+        Ok(())
+    }
+}
+
+/// Distance of the tool from the work area, mm; negative inside.
+fn outside_mm(scene: &Scene<'_>, [x, y, z]: &Vector) -> f64 {
+    let area = &scene.cell.work_area;
+    let (x, y) = (x - area.centre_mm[0], y - area.centre_mm[1]);
+    let beside = (x * x + y * y).sqrt() - area.radius_mm;
+    beside.max(z - area.z_high_mm).max(scene.bounds.z_low_mm - z)
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::cell::{Cell, WorkArea};
+    use crate::rig::{Rig, broken};
+    use crate::violation::Rule;
+
+    #[test]
+    fn a_joint_beyond_its_range_breaks_the_rule() {
+        let mut rig = Rig::moving();
+        rig.joints[3].angle_rad = 6_283.004;
+        assert_eq!(rig.step(), Ok(()));
+        rig.joints[3].angle_rad = 6_283.01;
+        assert!(broken(&rig.step(), Rule::Area));
+        let mut rig = Rig::moving();
+        rig.disturb_machine(true);
+        rig.joints[3].angle_rad = 6_283.05;
+        assert_eq!(rig.step(), Ok(()));
+    }
+
+    fn small() -> Cell {
+        Cell {
+            work_area: WorkArea {
+                z_low_mm: -845.0,
+                ..WorkArea::default()
+            },
+            ..Cell::default()
+        }
+    }
+
+    #[test]
+    fn a_tool_that_leaves_the_work_area_breaks_the_rule() {
+        let mut rig = Rig::with(small()).at_height(-844.0).in_motion();
+        let found = rig.go_to_height(-846.0, 200);
+        assert!(broken(&found, Rule::Area), "{found:?}");
+        let mut rig = Rig::with(small()).at_height(-844.0).in_motion();
+        assert_eq!(rig.go_to_height(-845.2, 200), Ok(()));
+    }
+
+    #[test]
+    fn from_outside_the_tool_only_comes_nearer() {
+        let mut rig = Rig::with(small()).at_height(-847.0).in_motion();
+        assert_eq!(rig.go_to_height(-845.0, 200), Ok(()));
+        let found = rig.go_to_height(-846.5, 200);
+        assert!(broken(&found, Rule::Area), "{found:?}");
+    }
+}

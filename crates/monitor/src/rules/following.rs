@@ -1,0 +1,69 @@
+//! Following: while drawing, the tool is never far from the path.
+//!
+//! The setpoints stay within the tolerance of the polyline of legs, and the tool within the following error of them: 0.3
+//! mm, and half the acceleration times the square of a lag of 4 ms. Between parts of a drawing the pen is lifted and
+//! lowered straight above the path. A disturbance widens the bound as it does for the pen.
+
+use crate::scene::{Finding, Scene};
+use crate::violation::Rule;
+
+/// The rule.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Following;
+
+impl Following {
+    pub(crate) fn check(&mut self, scene: &Scene<'_>) -> Finding {
+        let (Some(place), Some(more_mm), Some([x, y, z])) = (scene.place, scene.more_mm(), scene.motion.tool) else {
+            return Ok(());
+        };
+        if place.is_on_path {
+            return Ok(());
+        }
+        let bound = scene.bounds.travel_mm + more_mm;
+        let text = format!(
+            "the tool is at {x:.2}, {y:.2}, {z:.2} mm, {:.2} mm from the nearest leg, bound {:.2} mm, {bound:.2} mm with \
+             the pen up",
+            place.off_mm,
+            scene.bounds.drawn_mm + more_mm,
+        );
+        Err((Rule::Following, text))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::moment::Input;
+    use crate::rig::{Rig, broken};
+    use crate::violation::Rule;
+
+    #[test]
+    fn a_tool_on_its_path_or_lifted_above_it_follows() {
+        let mut rig = Rig::drawing_on_paper();
+        assert_eq!(rig.go_to([20.0, 0.3, -850.0], 100), Ok(()));
+        assert_eq!(rig.go_to([20.0, 0.3, -847.0], 50), Ok(()));
+        assert_eq!(rig.go_to([20.0, 0.0, -850.0], 50), Ok(()));
+    }
+
+    #[test]
+    fn a_tool_beside_its_path_breaks_the_rule() {
+        let mut rig = Rig::drawing_on_paper();
+        assert_eq!(rig.go_to([20.0, 0.0, -847.0], 100), Ok(()));
+        let found = rig.go_to([20.0, 4.0, -847.0], 50);
+        assert!(broken(&found, Rule::Following), "{found:?}");
+        let mut rig = Rig::drawing_on_paper();
+        let found = rig.go_to([10.0, 0.0, -840.0], 100);
+        assert!(broken(&found, Rule::Following), "{found:?}");
+    }
+
+    #[test]
+    fn false_feedback_widens_the_bound_to_what_is_promised() {
+        let mut rig = Rig::drawing_on_paper();
+        rig.input(Input::Feedback {
+            axis: 0,
+            disturbed: true,
+        });
+        assert_eq!(rig.go_to([20.0, 15.0, -847.0], 100), Ok(()));
+        let found = rig.go_to([20.0, 60.0, -847.0], 200);
+        assert!(broken(&found, Rule::Following), "{found:?}");
+    }
+}

@@ -1,0 +1,132 @@
+//! Pen: the tip touches the paper only where it was ordered to.
+//!
+//! It may touch within the tolerance and the following error of a leg of the present drawing, or of a move or pen order,
+//! where that leg lies within the pen's spring of the paper; anywhere during a jog, which the operator steers; and where
+//! it stands. In a stop it may slide on: twice the tool's speed times reaction and ramp, and 2 mm. While feedback is not
+//! true the deviation that is promised for it comes on top.
+
+use crate::scene::{Finding, Scene};
+use crate::vector::{Vector, length, subtract};
+use crate::violation::Rule;
+
+/// How far a pen that stands on the paper may move while motors take over their load, mm: 0.02 rad of a joint.
+const SAG_MM: f64 = 7.0;
+
+/// The rule.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Pen {
+    /// Where the pen was last allowed to touch, mm.
+    rest: Option<Vector>,
+    /// Where the tool was in the last sound millisecond, mm.
+    sound: Option<Vector>,
+}
+
+impl Pen {
+    pub(crate) fn check(&mut self, scene: &Scene<'_>) -> Finding {
+        let Some(tool) = scene.motion.tool else {
+            return Ok(());
+        };
+        let Some(more_mm) = scene.more_mm() else {
+            // Nobody knows where the joints are.
+            (self.rest, self.sound) = (Some(tool), Some(tool));
+            return Ok(());
+        };
+        let is_sound = more_mm == 0.0;
+        if !scene.moment.pen_touches {
+            self.rest = None;
+            if is_sound {
+                self.sound = Some(tool);
+            }
+            return Ok(());
+        }
+        let by_feedback = if scene.disturbances.feedback() {
+            scene.cell.disturbed_mm
+        } else {
+            0.0
+        };
+        let is_ordered =
+            scene.orders.may_jog(scene.now_ms()) || scene.drawing.may_touch(scene.bounds, &tool, by_feedback);
+        if is_ordered {
+            self.rest = Some(tool);
+            if is_sound {
+                self.sound = Some(tool);
+            }
+            return Ok(());
+        }
+        let sag_mm = if scene.is_power_changing() { SAG_MM } else { 0.0 };
+        if self
+            .rest
+            .is_some_and(|rest| beside(rest, tool) <= scene.bounds.drawn_mm + sag_mm)
+        {
+            return Ok(());
+        }
+        if !is_sound && self.sound.is_some_and(|sound| length(subtract(tool, sound)) <= more_mm) {
+            self.rest = Some(tool);
+            return Ok(());
+        }
+        let [x, y, z] = tool;
+        Err((
+            Rule::Pen,
+            format!("the pen touches at {x:.2}, {y:.2}, {z:.2} mm without an order"),
+        ))
+    }
+}
+
+/// Distance in plan view, mm.
+fn beside(a: Vector, b: Vector) -> f64 {
+    (a[0] - b[0]).hypot(a[1] - b[1])
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::moment::{Command, Input, Mode, Report};
+    use crate::rig::{Rig, broken};
+    use crate::violation::Rule;
+
+    #[test]
+    fn ink_on_the_line_is_ordered_and_ink_beside_it_is_not() {
+        let mut rig = Rig::drawing_on_paper();
+        assert_eq!(rig.go_to([20.0, 0.0, -850.0], 100), Ok(()));
+        let mut rig = Rig::drawing_on_paper();
+        let found = rig.go_to([10.0, 3.0, -850.0], 100);
+        assert!(broken(&found, Rule::Pen), "{found:?}");
+    }
+
+    #[test]
+    fn a_pen_that_was_not_lowered_by_order_breaks_the_rule() {
+        let mut rig = Rig::idle_at([0.0, 0.0, -840.0]);
+        let target = [0.0, 0.0, -848.0];
+        rig.command(Command::Move { position_mm: target });
+        assert_eq!(rig.go_to(target, 100), Ok(()));
+        let found = rig.go_to([0.0, 0.0, -850.0], 50);
+        assert!(broken(&found, Rule::Pen), "{found:?}");
+    }
+
+    #[test]
+    fn a_pen_order_and_a_jog_may_touch() {
+        let mut rig = Rig::idle_at([5.0, 0.0, -847.0]);
+        rig.command(Command::Pen { down: true });
+        assert_eq!(rig.go_to([5.0, 0.0, -850.0], 50), Ok(()));
+        let mut rig = Rig::idle_at([5.0, 0.0, -847.0]);
+        for step in 1..=10 {
+            rig.command(Command::Jog {
+                velocity_mm_s: [0.0, 0.0, -6.0],
+            });
+            assert_eq!(rig.go_to([5.0, 0.0, -847.0 - 0.3 * f64::from(step)], 50), Ok(()));
+        }
+    }
+
+    #[test]
+    fn after_a_stop_the_pen_may_slide_and_stand_where_it_came_to_rest() {
+        let mut rig = Rig::drawing_on_paper();
+        assert_eq!(rig.go_to([20.0, 0.0, -850.0], 100), Ok(()));
+        rig.command(Command::Stop);
+        assert_eq!(rig.go_to([21.0, 1.2, -850.0], 10), Ok(()));
+        rig.report(Report::Mode(Mode::Fault));
+        rig.power(false);
+        assert_eq!(rig.run(2_000), Ok(()));
+        rig.input(Input::Commanded(Command::Acknowledge));
+        rig.report(Report::Fault(None));
+        assert_eq!(rig.run(500), Ok(()));
+    }
+}

@@ -1,0 +1,123 @@
+//! The rules by name, and the violation of one.
+
+use std::fmt;
+
+/// A rule that the controller has to keep.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Rule {
+    /// See [`Rule::sentence`].
+    Speed,
+    /// See [`Rule::sentence`].
+    Acceleration,
+    /// See [`Rule::sentence`].
+    Area,
+    /// See [`Rule::sentence`].
+    Power,
+    /// See [`Rule::sentence`].
+    Permission,
+    /// See [`Rule::sentence`].
+    Stop,
+    /// See [`Rule::sentence`].
+    DeadMan,
+    /// See [`Rule::sentence`].
+    Silence,
+    /// See [`Rule::sentence`].
+    Pen,
+    /// See [`Rule::sentence`].
+    Following,
+    /// See [`Rule::sentence`].
+    Mode,
+    /// See [`Rule::sentence`].
+    Finished,
+    /// See [`Rule::sentence`].
+    Counters,
+    /// See [`Rule::sentence`].
+    Wire,
+}
+
+impl Rule {
+    /// All rules.
+    pub const ALL: [Self; 14] = [
+        Self::Speed,
+        Self::Acceleration,
+        Self::Area,
+        Self::Power,
+        Self::Permission,
+        Self::Stop,
+        Self::DeadMan,
+        Self::Silence,
+        Self::Pen,
+        Self::Following,
+        Self::Mode,
+        Self::Finished,
+        Self::Counters,
+        Self::Wire,
+    ];
+
+    /// Its name, one word.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Speed => "speed",
+            Self::Acceleration => "acceleration",
+            Self::Area => "area",
+            Self::Power => "power",
+            Self::Permission => "permission",
+            Self::Stop => "stop",
+            Self::DeadMan => "deadman",
+            Self::Silence => "silence",
+            Self::Pen => "pen",
+            Self::Following => "following",
+            Self::Mode => "mode",
+            Self::Finished => "finished",
+            Self::Counters => "counters",
+            Self::Wire => "wire",
+        }
+    }
+
+    /// The rule as a sentence.
+    #[must_use]
+    pub const fn sentence(self) -> &'static str {
+        match self {
+            Self::Speed => "No joint and no tool moves faster than its limit and what its controller may add.",
+            Self::Acceleration => "No joint changes its speed faster than its limit, a stop or its brake can.",
+            Self::Area => "Joints stay in their ranges, and the tool in the work area.",
+            Self::Power => "Drives have power only after an order for it, and lose it soon after the order ends.",
+            Self::Permission => "Nothing moves without configuration, homing, power and an order to move.",
+            Self::Stop => "After a stop or a fault every joint decelerates, stands, and stays until enabled again.",
+            Self::DeadMan => "A jog ends when its messages end.",
+            Self::Silence => "A drawing is held when its host falls silent.",
+            Self::Pen => "The pen touches the paper only where it was ordered to.",
+            Self::Following => "While drawing, the tool is never far from the path.",
+            Self::Mode => "A reported standstill is a standstill.",
+            Self::Finished => "A drawing that is reported as finished has all of its ink.",
+            Self::Counters => "Counters never go backwards, and count what happened.",
+            Self::Wire => "Every frame of the master is well-formed EtherCAT.",
+        }
+    }
+}
+
+impl fmt::Display for Rule {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+/// A rule that was broken.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Violation {
+    /// When, ms.
+    pub time_ms: u64,
+    /// The rule.
+    pub rule: Rule,
+    /// What happened, with values and bounds.
+    pub text: String,
+}
+
+impl fmt::Display for Violation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} ms, {}: {}", self.time_ms, self.rule, self.text)
+    }
+}
+
+impl std::error::Error for Violation {}
