@@ -283,7 +283,11 @@ impl Drawing {
         let legs = self.legs.iter().take(self.limit as usize);
         for leg in legs.filter(|leg| leg.pen_down && leg.touches()) {
             let length_mm = (leg.to[0] - leg.from[0]).hypot(leg.to[1] - leg.from[1]);
-            let steps = (length_mm / STEP_MM).ceil().clamp(1.0, 1.0e6);
+            // A leg that is too long for the grid is too long for the sheet.
+            if !(length_mm < LONG_HALF_CELLS * 0.5 * CELL_MM) {
+                continue;
+            }
+            let steps = (length_mm / STEP_MM).ceil().max(1.0);
             for step in 0..=steps as u32 {
                 let place = leg.at(f64::from(step) / steps);
                 let is_low = leg.touch_distance_squared(&place) <= f64::EPSILON;

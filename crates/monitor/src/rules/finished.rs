@@ -39,7 +39,7 @@ mod tests {
     #[test]
     fn a_drawing_with_all_of_its_ink_is_finished() {
         let mut rig = Rig::drawing_on_paper();
-        assert_eq!(rig.go_to([40.0, 0.0, -850.0], 120), Ok(()));
+        assert_eq!(rig.go_to([40.0, 0.0, -850.0], 220), Ok(()));
         assert_eq!(rig.go_to([40.0, 0.0, -847.0], 50), Ok(()));
         rig.report(Report::Finished { job: JOB });
         assert_eq!(rig.step(), Ok(()));
@@ -48,7 +48,7 @@ mod tests {
     #[test]
     fn a_drawing_without_a_part_of_its_ink_is_not() {
         let mut rig = Rig::drawing_on_paper();
-        assert_eq!(rig.go_to([38.0, 0.0, -850.0], 120), Ok(()));
+        assert_eq!(rig.go_to([38.0, 0.0, -850.0], 220), Ok(()));
         assert_eq!(rig.go_to([38.0, 0.0, -847.0], 50), Ok(()));
         rig.report(Report::Finished { job: JOB + 1 });
         assert_eq!(rig.step(), Ok(()), "another job");
@@ -66,7 +66,7 @@ mod tests {
             position_mm: [90.0, 0.0, -850.0],
             pen_down: true,
         });
-        assert_eq!(rig.go_to([40.0, 0.0, -850.0], 120), Ok(()));
+        assert_eq!(rig.go_to([40.0, 0.0, -850.0], 220), Ok(()));
         rig.report(Report::Finished { job: JOB });
         assert_eq!(rig.step(), Ok(()));
     }
