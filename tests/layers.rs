@@ -10,11 +10,12 @@ fn findings(folder: &str, table: &str) -> Vec<String> {
 }
 
 /// Folders of sources, and the texts with their layers.
-const CRATES: [(&str, &str); 5] = [
+const CRATES: [(&str, &str); 6] = [
     ("src", include_str!("../src/lib.rs")),
     ("crates/drives/src", include_str!("../crates/drives/src/lib.rs")),
     ("crates/ethercat/src", include_str!("../crates/ethercat/src/lib.rs")),
     ("crates/link/src", include_str!("../crates/link/src/lib.rs")),
+    ("crates/monitor/src", include_str!("../crates/monitor/src/lib.rs")),
     ("crates/motion/src", include_str!("../crates/motion/src/lib.rs")),
 ];
 

@@ -1,6 +1,6 @@
 //! The seam between a kind of robot and everything else: only a kind's own files name its parts.
 //!
-//! A kind of robot has its own files in `motion`, in the cell and on the page. The test checks all Rust,
+//! A kind of robot has its own files in `motion`, in the monitor, in the cell and on the page. The test checks all Rust,
 //! JavaScript and HTML files of the repository, names and comments alike.
 
 use std::fs;
@@ -23,6 +23,7 @@ const KINDS: [Kind; 1] = [Kind {
     name: "delta",
     words: &["delta", "deltas", "arm", "arms", "forearm", "forearms"],
     own: &[
+        "crates/monitor/src/robot/delta.rs",
         "crates/motion/src/robots/delta/",
         "host-tools/src/cell/mechanism/delta.rs",
         "host-tools/assets/console/robot_delta.js",
@@ -33,7 +34,8 @@ const KINDS: [Kind; 1] = [Kind {
 const CHECK: &str = "tests/robots.rs";
 
 /// Files that choose a kind, and may name it, but none of its parts.
-const SEAMS: [&str; 4] = [
+const SEAMS: [&str; 5] = [
+    "crates/monitor/src/robot/mod.rs",
     "crates/motion/src/robots/mod.rs",
     "host-tools/src/cell/mechanism/mod.rs",
     "host-tools/assets/console/robot.js",

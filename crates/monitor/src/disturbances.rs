@@ -115,8 +115,8 @@ impl Disturbances {
 fn is_off(cell: &Cell, motion: &Motion, near: impl Fn(usize) -> f64) -> bool {
     motion.each_axis().any(|axis| {
         let sure = 0.5 * CERTAIN_PART * cell.joints[axis].turn_rad.abs();
-        // A NaN is not sure.
-        !((motion.angles_rad[axis] - near(axis)).abs() < sure)
+        let away = (motion.angles_rad[axis] - near(axis)).abs();
+        away.is_nan() || away >= sure
     })
 }
 

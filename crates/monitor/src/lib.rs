@@ -24,6 +24,8 @@
 
 mod bounds;
 mod cell;
+#[cfg(test)]
+mod cost;
 mod disturbances;
 mod drawing;
 mod moment;

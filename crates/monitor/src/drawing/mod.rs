@@ -174,7 +174,7 @@ impl Drawing {
         };
         self.legs.push(Leg::new(from, to, pen_down, bounds.touch_z_mm));
         let half_cells = (to[0] - from[0]).hypot(to[1] - from[1]) / (0.5 * CELL_MM);
-        if !(half_cells < LONG_HALF_CELLS) {
+        if half_cells.is_nan() || half_cells >= LONG_HALF_CELLS {
             self.is_too_much |= self.long.len() >= LONG_MAX;
             if !self.is_too_much {
                 self.long.push(number);
@@ -284,7 +284,7 @@ impl Drawing {
         for leg in legs.filter(|leg| leg.pen_down && leg.touches()) {
             let length_mm = (leg.to[0] - leg.from[0]).hypot(leg.to[1] - leg.from[1]);
             // A leg that is too long for the grid is too long for the sheet.
-            if !(length_mm < LONG_HALF_CELLS * 0.5 * CELL_MM) {
+            if length_mm.is_nan() || length_mm >= LONG_HALF_CELLS * 0.5 * CELL_MM {
                 continue;
             }
             let steps = (length_mm / STEP_MM).ceil().max(1.0);

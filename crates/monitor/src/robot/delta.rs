@@ -87,15 +87,14 @@ impl Delta {
         let (a, b) = (subtract(second, first), subtract(third, first));
         let normal = cross(a, b);
         let normal_squared = dot(normal, normal);
-        // A NaN is not above the limit.
-        if !(normal_squared > AREA_SQUARED_MIN_MM4) {
+        if normal_squared.is_nan() || normal_squared < AREA_SQUARED_MIN_MM4 {
             return None;
         }
         let (a_squared, b_squared) = (dot(a, a), dot(b, b));
         let towards = add(scale(cross(b, normal), a_squared), scale(cross(normal, a), b_squared));
         let foot = scale(towards, 0.5 / normal_squared);
         let height_squared = self.forearm_squared - dot(foot, foot);
-        if !(height_squared >= 0.0) {
+        if height_squared.is_nan() || height_squared < 0.0 {
             return None;
         }
         let height = (height_squared / normal_squared).sqrt();
