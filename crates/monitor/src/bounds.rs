@@ -45,9 +45,7 @@ const JOINT_SPEED_RAD_S: f64 = 0.1;
 /// Relative margin of joint accelerations, and what weight does to a joint without torque, rad/s2.
 const ACCELERATION_PART: f64 = 1.25;
 const FALL_RAD_S2: f64 = 150.0;
-/// How far the tool may be from the setpoints at rest or in steady motion, mm, and the time by which it lags behind a
-/// change of speed, s.
-const FOLLOWING_MM: f64 = 0.3;
+/// Time by which the tool lags behind a change of speed, s.
 const FOLLOWING_LAG_S: f64 = 4.0e-3;
 /// Distance from an end of a joint's range in sound motion, rad: the planner keeps a margin of its own.
 const RANGE_RAD: f64 = 0.005;
@@ -138,7 +136,7 @@ impl Bounds {
             + 2.0 * (cell.paper.pen_lift_mm / at_least(BRAKING_PART * pen_acceleration.min(by_joints))).sqrt();
         let pauses_ms = 2 * u64::from(cell.pen_dwell_ms);
         let lag = 0.5 * cell.tool_acceleration_mm_s2 * FOLLOWING_LAG_S * FOLLOWING_LAG_S;
-        let following_mm = FOLLOWING_MM + lag.max(0.0);
+        let following_mm = cell.following_mm + lag.max(0.0);
         Self {
             joints,
             axes: cell.joints.len().min(AXES_MAX),

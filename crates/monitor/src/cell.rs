@@ -131,6 +131,8 @@ pub struct Cell {
     pub tolerance_mm: f64,
     /// Largest deviation of the setpoints from the path with the pen up, mm.
     pub travel_tolerance_mm: f64,
+    /// How far the tool may be from its setpoints at rest and in steady motion, mm; motors in torque mode need more.
+    pub following_mm: f64,
     /// Largest deviation from the path that is promised while an axis's feedback is not true, mm.
     pub disturbed_mm: f64,
     /// Longest pause between messages of a jog, ms.
@@ -171,6 +173,7 @@ impl Default for Cell {
             pen_dwell_ms: 0,
             tolerance_mm: 0.05,
             travel_tolerance_mm: 0.5,
+            following_mm: 0.3,
             disturbed_mm: 40.0,
             dead_man_ms: 100,
             blind_ms: 5,

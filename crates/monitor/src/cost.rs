@@ -59,6 +59,7 @@ fn a_step_costs_about_a_microsecond() {
             let orders: Vec<Input> = match ms {
                 0 => std::iter::once(Input::Configured)
                     .chain(begin.map(Input::Commanded))
+                    .chain(path[..LEGS_PER_MS].iter().copied())
                     .collect(),
                 _ => Vec::new(),
             };

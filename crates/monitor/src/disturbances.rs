@@ -10,20 +10,29 @@ use crate::motion::Motion;
 /// Part of half a motor turn up to which a reference is certain: near the middle between two turns either may be taken.
 const CERTAIN_PART: f64 = 0.98;
 
+/// How long the emergency-stop input has to be open to be a disturbance, ms: one less than the shortest stop.
+const OPEN_MS: u64 = 2;
+
 /// What is disturbed.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Disturbances {
     feedback: [bool; AXES_MAX],
     deaf: [bool; AXES_MAX],
     machine: bool,
+    open_since_ms: Option<u64>,
     /// Whether the reference is not the true one: it was taken on a wrong motor turn.
     misreferenced: bool,
     /// The value before the last command to home, while that is not answered.
     before_homing: Option<bool>,
     feedback_ms: Option<u64>,
     machine_ms: Option<u64>,
+    opened_ms: Option<u64>,
     deaf_ms: [Option<u64>; AXES_MAX],
     now_ms: u64,
+    // What the methods below tell: many rules ask.
+    has_false_feedback: bool,
+    is_disturbed: bool,
+    may_be_stopped: bool,
 }
 
 impl Disturbances {
@@ -35,11 +44,20 @@ impl Disturbances {
         if self.machine {
             self.machine_ms = Some(now_ms);
         }
+        if self
+            .open_since_ms
+            .is_some_and(|since_ms| now_ms.saturating_sub(since_ms) >= OPEN_MS)
+        {
+            self.opened_ms = Some(now_ms);
+        }
         for (since, deaf) in self.deaf_ms.iter_mut().zip(self.deaf) {
             if deaf {
                 *since = Some(now_ms);
             }
         }
+        self.has_false_feedback = self.recent(self.feedback_ms);
+        self.may_be_stopped = self.recent(self.opened_ms);
+        self.is_disturbed = self.recent(self.machine_ms) || self.deaf_ms.iter().any(|since_ms| self.recent(*since_ms));
     }
 
     pub(crate) fn take(&mut self, cell: &Cell, motion: &Motion, input: &Input) {
@@ -53,6 +71,8 @@ impl Disturbances {
             }
             Input::Drive { axis, deaf } => self.deaf.iter_mut().skip(axis).take(1).for_each(|flag| *flag = deaf),
             Input::Machine { disturbed } => self.machine = disturbed,
+            Input::StopInput(true) => _ = self.open_since_ms.get_or_insert(motion.now_ms),
+            Input::StopInput(false) => self.open_since_ms = None,
             Input::Commanded(Command::Home) => self.home(is_off(cell, motion, |axis| cell.joints[axis].mark_rad)),
             Input::Commanded(Command::HomeAt { pose_rad }) => {
                 self.home(is_off(cell, motion, |axis| {
@@ -87,12 +107,12 @@ impl Disturbances {
 
     /// Whether an axis shows a position that is not true, or did a moment ago.
     pub(crate) fn feedback(&self) -> bool {
-        self.recent(self.feedback_ms)
+        self.has_false_feedback
     }
 
     /// Whether frames, slaves or drives are disturbed, or were a moment ago.
-    pub(crate) fn machine(&self) -> bool {
-        self.recent(self.machine_ms) || self.deaf_ms.iter().any(|since_ms| self.recent(*since_ms))
+    pub(crate) fn machine_disturbed(&self) -> bool {
+        self.is_disturbed
     }
 
     /// Whether the drive of an axis cannot obey, or could not a moment ago.
@@ -105,9 +125,24 @@ impl Disturbances {
         self.misreferenced || self.before_homing == Some(true)
     }
 
+    /// Whether motors may move otherwise than the controller believes.
+    pub(crate) fn moves_astray(&self) -> bool {
+        self.feedback() || self.misreferenced() || self.deaf.contains(&true)
+    }
+
+    /// Whether the emergency-stop input was open so long that the controller may be stopping without having told it.
+    pub(crate) fn may_be_stopped(&self) -> bool {
+        self.may_be_stopped
+    }
+
+    /// Whether joints may be faster than ordered.
+    pub(crate) fn may_race(&self) -> bool {
+        self.feedback() || self.machine_disturbed() || self.misreferenced()
+    }
+
     /// Whether nothing is disturbed, now and a moment ago.
     pub(crate) fn none(&self) -> bool {
-        !self.feedback() && !self.machine() && !self.misreferenced()
+        !self.may_race() && !self.may_be_stopped()
     }
 }
 
@@ -146,7 +181,7 @@ mod tests {
             },
         );
         disturbances.step(5);
-        assert!(disturbances.feedback() && !disturbances.machine());
+        assert!(disturbances.feedback() && !disturbances.machine_disturbed());
         disturbances.take(
             &cell,
             &motion,

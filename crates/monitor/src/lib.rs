@@ -28,6 +28,8 @@ mod cell;
 mod cost;
 mod disturbances;
 mod drawing;
+#[cfg(test)]
+mod fuzz;
 mod moment;
 mod monitor;
 mod motion;

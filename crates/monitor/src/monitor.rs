@@ -34,7 +34,7 @@ impl Monitor {
             bounds: Bounds::new(&cell),
             cell,
             motion: Motion::default(),
-            orders: Orders::new(),
+            orders: Orders::default(),
             disturbances: Disturbances::default(),
             drawing: Drawing::new(),
             slide_mm: 0.0,
@@ -66,7 +66,17 @@ impl Monitor {
             self.orders.hear(&self.bounds, &self.motion, &self.disturbances, report);
             self.drawing.hear(self.motion.tool, report);
         }
-        let place = self.follow(moment);
+        let is_stopping = self.orders.is_stopping(&self.bounds, moment.time_ms);
+        let is_power_changing = scene::is_power_changing(&self.motion);
+        let is_changing = is_stopping || is_power_changing;
+        if !is_stopping {
+            let slide_mm = scene::slide_mm(&self.cell, &self.bounds, &self.motion);
+            // What a disturbance hides may have begun at any of its speeds.
+            let least_mm = if self.disturbances.none() { 0.0 } else { self.slide_mm };
+            self.slide_mm = slide_mm.max(least_mm);
+        }
+        let more_mm = scene::more_mm(&self.cell, &self.disturbances, is_changing, self.slide_mm);
+        let place = self.follow(moment, more_mm);
         let scene = Scene {
             cell: &self.cell,
             bounds: &self.bounds,
@@ -75,7 +85,9 @@ impl Monitor {
             disturbances: &self.disturbances,
             drawing: &self.drawing,
             place,
-            slide_mm: self.slide_mm,
+            is_stopping,
+            is_power_changing,
+            more_mm,
             moment,
         };
         self.rules.check(&scene).map_err(|(rule, text)| Violation {
@@ -106,19 +118,13 @@ impl Monitor {
     }
 
     /// Adds the ink, and looks for the tool on the drawing.
-    fn follow(&mut self, moment: &Moment<'_>) -> Option<Place> {
-        let is_stopping = self.orders.is_stopping(&self.bounds, self.motion.now_ms);
-        if self.disturbances.none() && !is_stopping {
-            self.slide_mm = scene::slide_mm(&self.bounds, &self.motion);
-        }
+    fn follow(&mut self, moment: &Moment<'_>, more_mm: Option<f64>) -> Option<Place> {
         let tool = self.motion.tool?;
         if moment.pen_touches {
             self.drawing.add_ink(&tool);
         }
-        self.drawing.was_disturbed |= self.disturbances.feedback() || self.disturbances.misreferenced();
-        let more_mm = scene::more_mm(&self.cell, &self.disturbances, is_stopping, self.slide_mm)?;
-        self.orders
-            .is_drawing(self.motion.now_ms)
-            .then(|| self.drawing.locate(&self.cell, &self.bounds, &tool, more_mm))
+        self.drawing.was_disturbed |= self.disturbances.moves_astray();
+        let more_mm = more_mm.filter(|_| self.orders.is_drawing(self.motion.now_ms))?;
+        Some(self.drawing.locate(&self.cell, &self.bounds, &tool, more_mm))
     }
 }

@@ -29,8 +29,13 @@ pub(crate) struct Scene<'a> {
     pub(crate) drawing: &'a Drawing,
     /// Where the tool is on the drawing; `None` outside a drawing.
     pub(crate) place: Option<Place>,
-    /// How far the tool may slide if everything stops, mm, as of the last sound millisecond.
-    pub(crate) slide_mm: f64,
+    /// Whether everything is stopping.
+    pub(crate) is_stopping: bool,
+    /// Whether the power of a drive has changed a moment ago.
+    pub(crate) is_power_changing: bool,
+    /// How far the tool may be beside a border or a path, mm, in addition to the bounds of sound motion; `None` if that
+    /// is not known.
+    pub(crate) more_mm: Option<f64>,
     pub(crate) moment: &'a Moment<'a>,
 }
 
@@ -39,31 +44,9 @@ impl Scene<'_> {
         self.motion.now_ms
     }
 
-    /// Whether everything is stopping.
-    pub(crate) fn is_stopping(&self) -> bool {
-        self.orders.is_stopping(self.bounds, self.now_ms())
-    }
-
-    /// Whether the power of a drive has changed a moment ago.
-    pub(crate) fn is_power_changing(&self) -> bool {
-        let changed = self.motion.power_changed_ms;
-        changed.is_some_and(|changed_ms| self.now_ms().saturating_sub(changed_ms) <= POWER_SETTLE_MS)
-    }
-
     /// Whether nothing is disturbed, nothing is stopping, and the drives' power is as it was.
     pub(crate) fn is_sound(&self) -> bool {
-        self.disturbances.none() && !self.is_stopping() && !self.is_power_changing()
-    }
-
-    /// How far the tool may be beside a border or a path, mm, in addition to the bounds of sound motion; `None` if that
-    /// is not known.
-    pub(crate) fn more_mm(&self) -> Option<f64> {
-        more_mm(
-            self.cell,
-            self.disturbances,
-            self.is_stopping() || self.is_power_changing(),
-            self.slide_mm,
-        )
+        self.disturbances.none() && !self.is_stopping && !self.is_power_changing
     }
 }
 
@@ -78,7 +61,7 @@ pub(crate) fn more_mm(cell: &Cell, disturbances: &Disturbances, is_changing: boo
     } else {
         0.0
     };
-    let by_stop = if is_changing || disturbances.machine() {
+    let by_stop = if is_changing || disturbances.machine_disturbed() || disturbances.may_be_stopped() {
         slide_mm
     } else {
         0.0
@@ -86,15 +69,19 @@ pub(crate) fn more_mm(cell: &Cell, disturbances: &Disturbances, is_changing: boo
     Some(by_feedback + by_stop)
 }
 
-/// How far the tool may slide if everything stops now, mm.
-pub(crate) fn slide_mm(bounds: &Bounds, motion: &Motion) -> f64 {
-    let ramp_s = motion.each_axis().map(|axis| {
-        let stop_rad_s2 = bounds.joints.get(axis).map_or(1.0, |joint| joint.stop_rad_s2);
-        motion.speeds_rad_s.get(axis).copied().unwrap_or(0.0).abs() / stop_rad_s2
-    });
+/// Whether the power of a drive has changed a moment ago.
+pub(crate) fn is_power_changing(motion: &Motion) -> bool {
+    let changed = motion.power_changed_ms;
+    changed.is_some_and(|changed_ms| motion.now_ms.saturating_sub(changed_ms) <= POWER_SETTLE_MS)
+}
+
+/// How far the tool may slide if everything stops now, mm. Speeds count up to their limits.
+pub(crate) fn slide_mm(cell: &Cell, bounds: &Bounds, motion: &Motion) -> f64 {
+    let ramps_s = motion.speeds_rad_s.iter().zip(&bounds.joints).take(motion.axes);
+    let ramp_s = ramps_s.map(|(speed, joint)| speed.abs().min(joint.speed_rad_s) / joint.stop_rad_s2);
     let duration_s = bounds.reaction_ms as f64 / 1_000.0 + ramp_s.fold(0.0, f64::max);
-    let way_mm = motion.tool_speed_mm_s * duration_s;
-    SLIDE_MM + SLIDE_FACTOR * way_mm
+    let fastest_mm_s = 2.0 * cell.tool_speed_mm_s.max(cell.travel_speed_mm_s);
+    SLIDE_MM + SLIDE_FACTOR * motion.tool_speed_mm_s.min(fastest_mm_s) * duration_s
 }
 
 const _: () = assert!(POWER_SETTLE_MS >= SETTLE_MS);

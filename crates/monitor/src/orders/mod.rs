@@ -4,6 +4,7 @@
 //! accepted. Where the monitor cannot know what the controller decided, both are right.
 
 mod pending;
+mod speed_override;
 mod stop;
 
 pub(crate) use stop::{Stop, StopCause};
@@ -16,6 +17,7 @@ use crate::motion::Motion;
 use crate::vector::length;
 use crate::violation::Rule;
 use pending::Pending;
+use speed_override::Override;
 use stop::STOP_OPEN_MS;
 
 /// The order that the robot moves for.
@@ -57,31 +59,22 @@ pub(crate) struct Orders {
     commanded_ms: u64,
     /// When a jog has to be at rest, ms.
     jog_ends_ms: Option<u64>,
+    /// Whether a jog was accepted since the last other motion.
+    has_jogged: bool,
     pub(crate) stop: Option<Stop>,
     needs_acknowledgement: bool,
     acknowledged: bool,
     fault_reported: bool,
     stop_open_since_ms: Option<u64>,
     cut_since_ms: Option<u64>,
-    override_percent: u8,
-    override_asked_percent: u8,
-    override_before: (u8, u64),
+    speed_override: Override,
     pub(crate) mode: Option<Mode>,
 }
 
 /// How long a cut has to last beyond the host's silence before the drawing must be held, ms: what was on the line arrives.
 const CUT_MS: u64 = 50;
-/// The override at the start, percent.
-const OVERRIDE_PERCENT: u8 = 100;
 
 impl Orders {
-    pub(crate) fn new() -> Self {
-        Self {
-            override_percent: OVERRIDE_PERCENT,
-            ..Self::default()
-        }
-    }
-
     /// Advances to a millisecond, before its inputs.
     pub(crate) fn step(&mut self, cell: &Cell, bounds: &Bounds, motion: &Motion, disturbances: &Disturbances) {
         let now_ms = motion.now_ms;
@@ -98,7 +91,7 @@ impl Orders {
                 self.held = Some((silent_ms, true));
             }
         }
-        if disturbances.machine()
+        if disturbances.machine_disturbed()
             && let Some(stop) = &mut self.stop
         {
             stop.wait_for_watchdog();
@@ -156,9 +149,11 @@ impl Orders {
             power_ended_ms: self.power_ended_ms,
             stop_open_since_ms: open,
             cut_since_ms: cut,
-            override_before: (self.percent_max(motion.now_ms), motion.now_ms + bounds.slowing_ms),
-            ..Self::new()
+            speed_override: self.speed_override,
+            ..Self::default()
         };
+        self.speed_override
+            .restart(motion.now_ms, motion.now_ms + bounds.slowing_ms);
     }
 
     fn command(&mut self, cell: &Cell, bounds: &Bounds, now_ms: u64, command: Command) {
@@ -176,11 +171,7 @@ impl Orders {
             Command::Draw { .. } | Command::Resume => self.path.ask(now_ms),
             Command::Hold => self.holding.ask(now_ms),
             Command::Cancel => self.cancelling.ask(now_ms),
-            Command::Override { percent } => {
-                if (10..=200).contains(&percent) {
-                    self.override_asked_percent = self.override_asked_percent.max(percent);
-                }
-            }
+            Command::Override { percent } => self.speed_override.ask(percent),
             Command::Acknowledge => self.acknowledged = true,
             Command::Stop => {}
         }
@@ -250,8 +241,12 @@ impl Orders {
                 }
             }
             Command::Jog { .. } => {
-                if self.jogging.answer() && self.order != Order::Single {
-                    self.begin(Order::Jog);
+                if self.jogging.answer() {
+                    // A jog that is accepted during a move does not end it.
+                    if self.order != Order::Single {
+                        self.begin(Order::Jog);
+                    }
+                    self.has_jogged = true;
                 }
             }
             Command::Move { .. } | Command::Pen { .. } => {
@@ -276,9 +271,7 @@ impl Orders {
                 }
             }
             Command::Override { percent } => {
-                self.override_before = (self.percent_max(now_ms), now_ms + bounds.slowing_ms);
-                self.override_percent = percent;
-                self.override_asked_percent = 0;
+                self.speed_override.accept(percent, now_ms, now_ms + bounds.slowing_ms);
             }
             Command::Home | Command::HomeAt { .. } | Command::Stop | Command::Acknowledge => {}
         }
@@ -294,17 +287,21 @@ impl Orders {
             Command::Hold => &mut self.holding,
             Command::Cancel => &mut self.cancelling,
             Command::Override { .. } => {
-                self.override_asked_percent = 0;
+                self.speed_override.refuse();
                 return;
             }
             Command::Home | Command::HomeAt { .. } | Command::Stop | Command::Acknowledge => return,
         };
         pending.answer();
+        if matches!(command, Command::Jog { .. }) && !self.jogging.is_waiting() && !self.has_jogged {
+            self.jog_ends_ms = None;
+        }
     }
 
     fn begin(&mut self, order: Order) {
         self.order = order;
         self.held = None;
+        self.has_jogged = false;
     }
 
     fn end_power(&mut self, now_ms: u64) {
@@ -327,7 +324,7 @@ impl Orders {
         }
         self.needs_acknowledgement = true;
         if self.stop.is_none() {
-            self.stop = Some(Stop::new(cause, motion, bounds, !disturbances.none()));
+            self.stop = Some(Stop::new(cause, motion, bounds, disturbances.may_race()));
         }
     }
 
@@ -381,9 +378,7 @@ impl Orders {
 
     /// Largest override that may be in effect, percent.
     pub(crate) fn percent_max(&self, now_ms: u64) -> u8 {
-        let (before, until_ms) = self.override_before;
-        let before = if now_ms <= until_ms { before } else { 0 };
-        self.override_percent.max(before).max(self.override_asked_percent)
+        self.speed_override.largest(now_ms)
     }
 
     /// Whether a stop is in progress.

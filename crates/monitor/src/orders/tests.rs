@@ -17,7 +17,7 @@ impl Desk {
             cell,
             motion: Motion::default(),
             disturbances: Disturbances::default(),
-            orders: Orders::new(),
+            orders: Orders::default(),
         };
         desk.take(Input::Configured);
         desk.command(Command::Home);
@@ -118,6 +118,22 @@ fn an_open_input_outlasts_acknowledgements() {
         desk.command(Command::Enable);
         assert!(!desk.orders.may_have_power());
     }
+}
+
+#[test]
+fn a_refused_jog_is_none_and_leaves_an_accepted_one() {
+    let jog = Command::Jog {
+        velocity_mm_s: [1.0, 0.0, 0.0],
+    };
+    let mut desk = Desk::new();
+    desk.take(Input::Commanded(jog));
+    assert!(desk.may_move());
+    desk.hear(&Report::Refused(jog));
+    assert!(!desk.may_move());
+    desk.command(jog);
+    desk.take(Input::Commanded(jog));
+    desk.hear(&Report::Refused(jog));
+    assert!(desk.may_move());
 }
 
 #[test]

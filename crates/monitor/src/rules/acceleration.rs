@@ -23,7 +23,7 @@ impl Acceleration {
         if !motion.is_steady {
             return Ok(());
         }
-        let is_sound = scene.disturbances.none() && !scene.is_power_changing();
+        let is_sound = scene.disturbances.none() && !scene.is_power_changing;
         for axis in motion.each_axis() {
             let (now, before) = (motion.speeds_rad_s[axis], motion.speeds_before_rad_s[axis]);
             // Speed gained in the direction of the motion; all of it after a reversal.

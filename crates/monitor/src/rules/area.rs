@@ -7,6 +7,7 @@
 //! depth. A stop adds how far the tool slides; feedback that is not true adds the deviation that is promised for it. A
 //! robot that finds itself outside may only come nearer: what was outside at rest is allowed, and shrinks.
 
+use crate::robot::MAIN_AXES;
 use crate::scene::{Finding, Scene};
 use crate::vector::Vector;
 use crate::violation::Rule;
@@ -32,10 +33,12 @@ impl Area {
             }
         }
         let Some(tool) = motion.tool else {
-            return Ok(());
+            let is_lost = is_sound && motion.axes >= MAIN_AXES;
+            let lost = || Err((Rule::Area, "no tool connects the joints".into()));
+            return if is_lost { lost() } else { Ok(()) };
         };
         let outside_mm = outside_mm(scene, &tool);
-        let (Some(found_mm), Some(more_mm)) = (self.found_mm, scene.more_mm()) else {
+        let (Some(found_mm), Some(more_mm)) = (self.found_mm, scene.more_mm) else {
             // The first millisecond, or nobody knows where the joints are.
             self.found_mm = Some(outside_mm);
             return Ok(());

@@ -1,7 +1,7 @@
 //! Following: while drawing, the tool is never far from the path.
 //!
 //! The setpoints stay within the tolerance of the polyline of legs, and the tool within the following error of them: 0.3
-//! mm, and half the acceleration times the square of a lag of 4 ms. Between parts of a drawing the pen is lifted and
+//! mm (`Cell::following_mm`), and half the acceleration times the square of a lag of 4 ms. Between parts of a drawing the pen is lifted and
 //! lowered straight above the path. A disturbance widens the bound as it does for the pen.
 
 use crate::scene::{Finding, Scene};
@@ -13,7 +13,7 @@ pub(crate) struct Following;
 
 impl Following {
     pub(crate) fn check(&mut self, scene: &Scene<'_>) -> Finding {
-        let (Some(place), Some(more_mm), Some([x, y, z])) = (scene.place, scene.more_mm(), scene.motion.tool) else {
+        let (Some(place), Some(more_mm), Some([x, y, z])) = (scene.place, scene.more_mm, scene.motion.tool) else {
             return Ok(());
         };
         if place.is_on_path {

@@ -17,8 +17,8 @@ const SAG_MM: f64 = 7.0;
 pub(crate) struct Pen {
     /// Where the pen was last allowed to touch, mm.
     rest: Option<Vector>,
-    /// Where the tool was in the last sound millisecond, mm.
-    sound: Option<Vector>,
+    /// Where the tool was when it last moved as ordered, mm: a stop lets it slide on from there.
+    ordered: Option<Vector>,
 }
 
 impl Pen {
@@ -26,49 +26,49 @@ impl Pen {
         let Some(tool) = scene.motion.tool else {
             return Ok(());
         };
-        let Some(more_mm) = scene.more_mm() else {
+        let Some(more_mm) = scene.more_mm else {
             // Nobody knows where the joints are.
-            (self.rest, self.sound) = (Some(tool), Some(tool));
+            (self.rest, self.ordered) = (Some(tool), Some(tool));
             return Ok(());
         };
-        let is_sound = more_mm == 0.0;
         if !scene.moment.pen_touches {
             self.rest = None;
-            if is_sound {
-                self.sound = Some(tool);
+            if !scene.is_stopping {
+                self.ordered = Some(tool);
             }
             return Ok(());
         }
-        let by_feedback = if scene.disturbances.feedback() {
-            scene.cell.disturbed_mm
-        } else {
-            0.0
-        };
-        let is_ordered =
-            scene.orders.may_jog(scene.now_ms()) || scene.drawing.may_touch(scene.bounds, &tool, by_feedback);
-        if is_ordered {
-            self.rest = Some(tool);
-            if is_sound {
-                self.sound = Some(tool);
-            }
+        if self.is_ordered(scene, &tool) {
+            (self.rest, self.ordered) = (Some(tool), Some(tool));
             return Ok(());
         }
-        let sag_mm = if scene.is_power_changing() { SAG_MM } else { 0.0 };
+        let sag_mm = if scene.is_power_changing { SAG_MM } else { 0.0 };
         if self
             .rest
             .is_some_and(|rest| beside(rest, tool) <= scene.bounds.drawn_mm + sag_mm)
         {
             return Ok(());
         }
-        if !is_sound && self.sound.is_some_and(|sound| length(subtract(tool, sound)) <= more_mm) {
+        if more_mm > 0.0
+            && self
+                .ordered
+                .is_some_and(|place| length(subtract(tool, place)) <= more_mm)
+        {
             self.rest = Some(tool);
             return Ok(());
         }
         let [x, y, z] = tool;
-        Err((
-            Rule::Pen,
-            format!("the pen touches at {x:.2}, {y:.2}, {z:.2} mm without an order"),
-        ))
+        let text = format!("the pen touches at {x:.2}, {y:.2}, {z:.2} mm without an order");
+        Err((Rule::Pen, text))
+    }
+
+    fn is_ordered(&self, scene: &Scene<'_>, tool: &Vector) -> bool {
+        let by_feedback = if scene.disturbances.feedback() {
+            scene.cell.disturbed_mm
+        } else {
+            0.0
+        };
+        scene.orders.may_jog(scene.now_ms()) || scene.drawing.may_touch(scene.bounds, tool, by_feedback)
     }
 }
 

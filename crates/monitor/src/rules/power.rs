@@ -25,7 +25,7 @@ impl Power {
         let ended_ms = orders
             .power_ended_ms
             .map(|ended_ms| scene.now_ms().saturating_sub(ended_ms));
-        let watchdog_ms = if scene.disturbances.machine() {
+        let watchdog_ms = if scene.disturbances.machine_disturbed() {
             scene.bounds.watchdog_ms
         } else {
             0
