@@ -27,7 +27,7 @@ fn both_kinematics_lead_to_the_same_position() {
     let mut compared = 0;
     for case in 0..20_000 {
         if case % 1_000 == 0 {
-            // Another robot, with arms that do not stand at equal angles.
+            // Another robot, whose joints do not stand at equal angles.
             config.geometry.upper_arm_mm = 300.0 + 100.0 * random.unit();
             config.geometry.arm_azimuths_deg = [0.0, 120.0, 240.0].map(|azimuth| azimuth + 20.0 * random.unit());
         }
@@ -53,7 +53,11 @@ fn the_monitors_default_numbers_are_those_of_the_default_configuration() {
     assert_eq!(robot(&config), cell.robot);
     let motion = &config.motion;
     assert_eq!(
-        (cell.tool_speed_mm_s, cell.travel_speed_mm_s, cell.tool_acceleration_mm_s2),
+        (
+            cell.tool_speed_mm_s,
+            cell.travel_speed_mm_s,
+            cell.tool_acceleration_mm_s2
+        ),
         (motion.speed_mm_s, motion.travel_speed_mm_s, motion.acceleration_mm_s2)
     );
     assert_eq!(

@@ -6,6 +6,7 @@ use crate::bounds::SETTLE_MS;
 use crate::cell::{AXES_MAX, Cell};
 use crate::moment::{Command, Input, Report};
 use crate::motion::Motion;
+use crate::robot::MAIN_AXES;
 
 /// Part of half a motor turn up to which a reference is certain: near the middle between two turns either may be taken.
 const CERTAIN_PART: f64 = 0.98;
@@ -146,9 +147,9 @@ impl Disturbances {
     }
 }
 
-/// Whether homing near these angles takes a wrong motor turn of an axis.
+/// Whether homing near these angles takes a wrong motor turn of a main axis.
 fn is_off(cell: &Cell, motion: &Motion, near: impl Fn(usize) -> f64) -> bool {
-    motion.each_axis().any(|axis| {
+    motion.each_axis().take(MAIN_AXES).any(|axis| {
         let sure = 0.5 * CERTAIN_PART * cell.joints[axis].turn_rad.abs();
         let away = (motion.angles_rad[axis] - near(axis)).abs();
         away.is_nan() || away >= sure

@@ -9,6 +9,7 @@ use crate::motion::Motion;
 use crate::orders::Orders;
 use crate::rules::Rules;
 use crate::scene::{self, Scene};
+use crate::vector::Vector;
 use crate::violation::Violation;
 
 /// The judge of a controller.
@@ -107,6 +108,12 @@ impl Monitor {
             rule,
             text,
         })
+    }
+
+    /// Where the tool is by the monitor's own kinematics, mm; `None` if no tool connects the joints.
+    #[must_use]
+    pub fn tool(&self) -> Option<Vector> {
+        self.motion.tool
     }
 
     fn take(&mut self, input: &Input) {

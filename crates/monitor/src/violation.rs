@@ -5,33 +5,33 @@ use std::fmt;
 /// A rule that the controller has to keep.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Rule {
-    /// See [`Rule::sentence`].
+    /// No joint and no tool moves faster than its limit and what its controller may add.
     Speed,
-    /// See [`Rule::sentence`].
+    /// No joint changes its speed faster than its limit, a stop or its brake can.
     Acceleration,
-    /// See [`Rule::sentence`].
+    /// Joints stay in their ranges, and the tool in the work area.
     Area,
-    /// See [`Rule::sentence`].
+    /// Drives have power only after an order for it, and lose it soon after the order ends.
     Power,
-    /// See [`Rule::sentence`].
+    /// Nothing moves without configuration, homing, power and an order to move.
     Permission,
-    /// See [`Rule::sentence`].
+    /// After a stop or a fault every joint decelerates, stands, and stays until enabled again.
     Stop,
-    /// See [`Rule::sentence`].
+    /// A jog ends when its messages end.
     DeadMan,
-    /// See [`Rule::sentence`].
+    /// A drawing is held when its host falls silent.
     Silence,
-    /// See [`Rule::sentence`].
+    /// The pen touches the paper only where it was ordered to.
     Pen,
-    /// See [`Rule::sentence`].
+    /// While drawing, the tool is never far from the path.
     Following,
-    /// See [`Rule::sentence`].
+    /// A reported standstill is a standstill.
     Mode,
-    /// See [`Rule::sentence`].
+    /// A drawing that is reported as finished has all of its ink.
     Finished,
-    /// See [`Rule::sentence`].
+    /// Counters never go backwards, and count what happened.
     Counters,
-    /// See [`Rule::sentence`].
+    /// Every frame of the master is well-formed EtherCAT.
     Wire,
 }
 
@@ -121,3 +121,18 @@ impl fmt::Display for Violation {
 }
 
 impl std::error::Error for Violation {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_rule_has_a_name_of_one_word_and_a_sentence() {
+        for (number, rule) in Rule::ALL.iter().enumerate() {
+            assert!(rule.name().chars().all(|letter| letter.is_ascii_lowercase()), "{rule}");
+            assert!(rule.sentence().ends_with('.'), "{rule}");
+            let is_twice = Rule::ALL[..number].iter().any(|other| other.name() == rule.name());
+            assert!(!is_twice, "{rule}");
+        }
+    }
+}

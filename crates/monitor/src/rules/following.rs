@@ -56,6 +56,17 @@ mod tests {
     }
 
     #[test]
+    fn a_joint_that_runs_away_at_drawing_speed_is_found_at_once() {
+        let mut rig = Rig::drawing_on_paper();
+        rig.accelerate_to(1.0);
+        let found = rig.run(12);
+        assert!(
+            broken(&found, Rule::Following) || broken(&found, Rule::Pen),
+            "{found:?}"
+        );
+    }
+
+    #[test]
     fn false_feedback_widens_the_bound_to_what_is_promised() {
         let mut rig = Rig::drawing_on_paper();
         rig.input(Input::Feedback {
