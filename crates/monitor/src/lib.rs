@@ -39,6 +39,8 @@ mod rig;
 pub mod robot;
 mod rules;
 mod scene;
+#[cfg(test)]
+mod session;
 mod telegram;
 pub mod vector;
 mod violation;

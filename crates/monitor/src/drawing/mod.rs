@@ -275,11 +275,13 @@ impl Drawing {
         self.ink.add(tool[0], tool[1]);
     }
 
-    /// The first place of a leg with the pen down that has no ink within a distance.
-    pub(crate) fn missing(&self, distance_mm: f64) -> Option<Vector> {
+    /// The first place of a leg with the pen down that has no ink within a distance, if more than a share of all places
+    /// has none.
+    pub(crate) fn missing(&self, distance_mm: f64, part_max: f64) -> Option<Vector> {
         if self.was_disturbed || self.is_too_much {
             return None;
         }
+        let (mut places, mut missing, mut first) = (0_u32, 0_u32, None);
         let legs = self.legs.iter().take(self.limit as usize);
         for leg in legs.filter(|leg| leg.pen_down && leg.touches()) {
             let length_mm = (leg.to[0] - leg.from[0]).hypot(leg.to[1] - leg.from[1]);
@@ -290,13 +292,17 @@ impl Drawing {
             let steps = (length_mm / STEP_MM).ceil().max(1.0);
             for step in 0..=steps as u32 {
                 let place = leg.at(f64::from(step) / steps);
-                let is_low = leg.touch_distance_squared(&place) <= f64::EPSILON;
-                if is_low && !self.ink.covers(place[0], place[1], distance_mm) {
-                    return Some(place);
+                if leg.touch_distance_squared(&place) > f64::EPSILON {
+                    continue;
+                }
+                places += 1;
+                if !self.ink.covers(place[0], place[1], distance_mm) {
+                    missing += 1;
+                    first = first.or(Some(place));
                 }
             }
         }
-        None
+        first.filter(|_| f64::from(missing) > part_max * f64::from(places))
     }
 }
 

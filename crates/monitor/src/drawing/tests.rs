@@ -53,7 +53,7 @@ proptest! {
         drawing.locate(&cell, &bounds, &[at, x, y], at);
         drawing.may_touch(&bounds, &[at, y, x], x);
         drawing.add_ink(&[x, at, y]);
-        drawing.missing(at);
+        drawing.missing(at, x);
     }
 }
 
@@ -90,9 +90,11 @@ fn ink_is_missing_where_there_is_none() {
             drawing.add_ink(&[x, 0.1, -850.0]);
         }
     }
-    let missing = drawing.missing(0.5).expect("a gap of 2.5 mm");
+    let missing = drawing.missing(0.5, 0.0).expect("a gap of 2.5 mm");
     assert!(length([missing[0] - 4.5, missing[1], 0.0]) < 0.6, "{missing:?}");
-    assert_eq!(drawing.missing(1.5), None);
+    assert_eq!(drawing.missing(1.5, 0.0), None);
+    assert_eq!(drawing.missing(0.5, 0.2), None, "a share of it may be missing");
+    assert!(drawing.missing(0.5, 0.05).is_some());
     drawing.was_disturbed = true;
-    assert_eq!(drawing.missing(0.5), None);
+    assert_eq!(drawing.missing(0.5, 0.0), None);
 }

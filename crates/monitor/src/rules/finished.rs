@@ -1,8 +1,9 @@
 //! Finished: a drawing that is reported as finished has all of its ink.
 //!
 //! Each half millimetre of each leg with the pen down has a point of ink within the tolerance, the following error, and
-//! half the way of the pen in a millisecond at twice the drawing speed. A drawing during which the feedback was not true
-//! is not judged: its ink is where the controller believed the pen to be.
+//! half the way of the pen in a millisecond at twice the drawing speed; a configured share of these places may have none.
+//! A drawing during which the feedback was not true, or a drive could not obey, is not judged: its ink is where the
+//! controller believed the pen to be.
 
 use crate::scene::{Finding, Scene};
 use crate::violation::Rule;
@@ -20,7 +21,7 @@ impl Finished {
             return Ok(());
         }
         let distance_mm = scene.bounds.drawn_mm + scene.cell.tool_speed_mm_s * HALF_STEP_S;
-        match scene.drawing.missing(distance_mm) {
+        match scene.drawing.missing(distance_mm, scene.cell.ink_missing_part) {
             None => Ok(()),
             Some([x, y, _]) => {
                 let text = format!("the drawing is reported as finished without ink at {x:.2}, {y:.2} mm");
