@@ -13,16 +13,17 @@ pub(crate) const CREEP_MS: u32 = 100;
 /// How far a joint that is to stand may be from where it stood, rad. The controller promises it for a robot that only
 /// holds (`tests/reactions/unreferenced.rs`); motors that take over their load from the brakes sag by less.
 pub(crate) const STAND_RAD: f64 = 0.02;
-/// Longest time from an order to its effect on the motors, ms: 12 for the planner's period, 24 for its ring of setpoints,
-/// 12 for the sampler's look-ahead, at most 32 for the moving average, and the drives.
+/// Longest time from an order to its effect on the motors, ms: 12 for the planner's period, 24 for its ring of
+/// setpoints, 12 for the sampler's look-ahead, at most 32 for the moving average, and the drives.
 pub(crate) const PIPELINE_MS: u64 = 100;
-/// Longest time from a decision of the controller to its arrival at the operator, ms: a serial line with telemetry on it.
+/// Longest time from a decision of the controller to its arrival at the operator, ms: a serial line with telemetry on
+/// it.
 pub(crate) const REPORT_MS: u64 = 150;
 /// Time after which the effects of a disturbance that was not noticed are over, ms: the position controller recovers in
 /// five of its time constants, which are at most 25 ms, and a fault that was noticed has been told.
 pub(crate) const SETTLE_MS: u64 = 300;
-/// Longest time from a stop to drives that brake, ms: 8 from an opened contact (`tests/reactions/board.rs`), and one for
-/// the alignment of milliseconds at each end. The drives' own delays come on top.
+/// Longest time from a stop to drives that brake, ms: 8 from an opened contact (`tests/reactions/board.rs`), and one
+/// for the alignment of milliseconds at each end. The drives' own delays come on top.
 const REACTION_MS: u64 = 10;
 /// Longest wait for a standstill (`STANDSTILL_MAX_MS` in `src/application`) and for the brakes (`BRAKE_DELAY_MS`), ms.
 const STANDSTILL_AND_BRAKE_MS: u64 = 1_000 + 100;

@@ -131,8 +131,8 @@ pub struct Cell {
     pub tolerance_mm: f64,
     /// Largest deviation of the setpoints from the path with the pen up, mm.
     pub travel_tolerance_mm: f64,
-    /// How far the tool may be from its setpoints at rest and in steady motion, mm. 0.3 leaves room beside the 0.1 mm that
-    /// drives with a velocity loop of their own keep; motors in torque mode need 1.0 (`tests/drives.rs`).
+    /// How far the tool may be from its setpoints at rest and in steady motion, mm. 0.3 leaves room beside the 0.1 mm
+    /// that drives with a velocity loop of their own keep; motors in torque mode need 1.0 (`tests/drives.rs`).
     pub following_mm: f64,
     /// Share of a drawing's lines that may be without ink. In torque mode the pen's spring does not always reach the
     /// paper: 0.01 (`tests/drives.rs`).

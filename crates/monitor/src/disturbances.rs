@@ -64,14 +64,28 @@ impl Disturbances {
     pub(crate) fn take(&mut self, cell: &Cell, motion: &Motion, input: &Input) {
         match *input {
             Input::Feedback { axis, disturbed } => {
-                self.feedback
-                    .iter_mut()
-                    .skip(axis)
-                    .take(1)
-                    .for_each(|flag| *flag = disturbed);
+                if let Some(flag) = self.feedback.get_mut(axis) {
+                    *flag = disturbed;
+                    self.feedback_ms = if disturbed {
+                        Some(motion.now_ms)
+                    } else {
+                        self.feedback_ms
+                    };
+                }
             }
-            Input::Drive { axis, deaf } => self.deaf.iter_mut().skip(axis).take(1).for_each(|flag| *flag = deaf),
-            Input::Machine { disturbed } => self.machine = disturbed,
+            Input::Drive { axis, deaf } => {
+                if let (Some(flag), Some(since_ms)) = (self.deaf.get_mut(axis), self.deaf_ms.get_mut(axis)) {
+                    *flag = deaf;
+                    *since_ms = if deaf { Some(motion.now_ms) } else { *since_ms };
+                }
+            }
+            Input::Machine { disturbed } => {
+                self.machine = disturbed;
+                if disturbed {
+                    // It counts even if it ends in the same millisecond.
+                    self.machine_ms = Some(motion.now_ms);
+                }
+            }
             Input::StopInput(true) => _ = self.open_since_ms.get_or_insert(motion.now_ms),
             Input::StopInput(false) => self.open_since_ms = None,
             Input::Commanded(Command::Home) => self.home(is_off(cell, motion, |axis| cell.joints[axis].mark_rad)),
@@ -195,6 +209,17 @@ mod tests {
         assert!(disturbances.feedback());
         disturbances.step(6 + SETTLE_MS);
         assert!(disturbances.none());
+    }
+
+    #[test]
+    fn a_disturbance_that_ends_in_its_millisecond_counts() {
+        let (cell, motion) = (Cell::default(), Motion::default());
+        let mut disturbances = Disturbances::default();
+        for disturbed in [true, false] {
+            disturbances.take(&cell, &motion, &Input::Machine { disturbed });
+        }
+        disturbances.step(0);
+        assert!(disturbances.machine_disturbed() && disturbances.may_race());
     }
 
     #[test]

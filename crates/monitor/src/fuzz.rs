@@ -132,7 +132,11 @@ proptest! {
             let joint = Joint { angle_rad: number(step), speed_rad_s: number(step + 1), has_power: step % 2 == 0 };
             let _ = monitor.step(&Moment {
                 // Some follow each other, others leap.
-                time_ms: if step % 3 == 0 { *time_ms } else { step as u64 },
+                time_ms: match step % 4 {
+                    0 => *time_ms,
+                    1 => u64::MAX - *time_ms % 3_000,
+                    _ => step as u64,
+                },
                 joints: &vec![joint; joints],
                 pen_touches: step % 5 == 0,
                 inputs,

@@ -85,8 +85,8 @@ pub enum Input {
         /// Whether the feedback is not true.
         disturbed: bool,
     },
-    /// Anything else that disturbs machine or controller: frames, cables, slaves, power, late tasks, clocks. From now on,
-    /// or no longer. Frames of a moment are disturbed for that moment.
+    /// Anything else that disturbs machine or controller: frames, cables, slaves, power, late tasks, clocks. From now
+    /// on, or no longer. Frames of a moment are disturbed for that moment.
     Machine {
         /// Whether something is disturbed.
         disturbed: bool,

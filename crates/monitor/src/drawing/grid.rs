@@ -1,7 +1,7 @@
 //! A plane divided into square cells with numbers in them, to find what is near a place.
 //!
-//! Cells share a fixed number of buckets, so that no place is outside. Cells that share a bucket cost time, never a wrong
-//! answer: a caller checks the distance of everything that it is given.
+//! Cells share a fixed number of buckets, so that no place is outside. Cells that share a bucket cost time, never a
+//! wrong answer: a caller checks the distance of everything that it is given.
 
 /// Number of buckets, a power of two.
 const BUCKETS: usize = 1 << 13;
@@ -56,8 +56,8 @@ impl Grid {
         *head = entry;
     }
 
-    /// Calls `found` with each number that may be within a distance of a place, until it returns true; a number may come
-    /// more than once. Returns whether one of the calls did.
+    /// Calls `found` with each number that may be within a distance of a place, until it returns true; a number may
+    /// come more than once. Returns whether one of the calls did.
     #[inline]
     pub(crate) fn any_near(&self, x_mm: f64, y_mm: f64, distance_mm: f64, mut found: impl FnMut(u32) -> bool) -> bool {
         let reach = ((distance_mm / self.cell_mm).ceil() as i64).clamp(1, REACH_MAX);

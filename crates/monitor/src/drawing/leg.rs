@@ -83,8 +83,8 @@ impl Leg {
         }
     }
 
-    /// Whether a point lies above the leg by no more than a lift: there the pen is lifted and lowered between parts of a
-    /// drawing.
+    /// Whether a point lies above the leg by no more than a lift: there the pen is lifted and lowered between parts of
+    /// a drawing.
     pub(crate) fn is_lifted(&self, point: &Vector, lift_mm: f64, tolerance_mm: f64) -> bool {
         let (part, squared) = self.nearest_flat(point, [0.0, 1.0]);
         let (low, high) = match self.inverse_flat > 0.0 {

@@ -1,7 +1,7 @@
 //! What the operator ordered and the controller has answered: which power and which motion is permitted now.
 //!
-//! A command permits as soon as it arrives; a refusal takes the permission back. A command obliges only when it has been
-//! accepted. Where the monitor cannot know what the controller decided, both are right.
+//! A command permits as soon as it arrives; a refusal takes the permission back. A command obliges only when it has
+//! been accepted. Where the monitor cannot know what the controller decided, both are right.
 
 mod pending;
 mod speed_override;
@@ -71,7 +71,8 @@ pub(crate) struct Orders {
     pub(crate) mode: Option<Mode>,
 }
 
-/// How long a cut has to last beyond the host's silence before the drawing must be held, ms: what was on the line arrives.
+/// How long a cut has to last beyond the host's silence before the drawing must be held, ms: what was on the line
+/// arrives.
 const CUT_MS: u64 = 50;
 
 impl Orders {
@@ -86,8 +87,8 @@ impl Orders {
             self.begin_stop(StopCause::Input, motion, bounds, disturbances);
         }
         if let Some(cut_ms) = self.cut_since_ms {
-            let silent_ms = cut_ms + u64::from(cell.host_silence_ms);
-            if now_ms >= silent_ms + CUT_MS && self.order == Order::Path && self.held.is_none() {
+            let silent_ms = cut_ms.saturating_add(u64::from(cell.host_silence_ms));
+            if now_ms >= silent_ms.saturating_add(CUT_MS) && self.order == Order::Path && self.held.is_none() {
                 self.held = Some((silent_ms, true));
             }
         }
@@ -153,7 +154,7 @@ impl Orders {
             ..Self::default()
         };
         self.speed_override
-            .restart(motion.now_ms, motion.now_ms + bounds.slowing_ms);
+            .restart(motion.now_ms, motion.now_ms.saturating_add(bounds.slowing_ms));
     }
 
     fn command(&mut self, cell: &Cell, bounds: &Bounds, now_ms: u64, command: Command) {
@@ -163,7 +164,7 @@ impl Orders {
             Command::Enable => self.enabling.ask(now_ms),
             Command::Disable => self.disabling.ask(now_ms),
             Command::Jog { velocity_mm_s } => {
-                let ends_ms = now_ms + bounds.jog_ms(cell, length(velocity_mm_s));
+                let ends_ms = now_ms.saturating_add(bounds.jog_ms(cell, length(velocity_mm_s)));
                 self.jog_ends_ms = Some(self.jog_ends_ms.map_or(ends_ms, |ms| ms.max(ends_ms)));
                 self.jogging.ask(now_ms);
             }
@@ -271,7 +272,8 @@ impl Orders {
                 }
             }
             Command::Override { percent } => {
-                self.speed_override.accept(percent, now_ms, now_ms + bounds.slowing_ms);
+                self.speed_override
+                    .accept(percent, now_ms, now_ms.saturating_add(bounds.slowing_ms));
             }
             Command::Home | Command::HomeAt { .. } | Command::Stop | Command::Acknowledge => {}
         }
@@ -337,7 +339,7 @@ impl Orders {
     pub(crate) fn may_be_homed(&self) -> bool {
         let ordered = self.home_ordered_ms.is_some_and(|ordered_ms| {
             self.unhomed_ms
-                .is_none_or(|unhomed_ms| ordered_ms + REPORT_MS >= unhomed_ms)
+                .is_none_or(|unhomed_ms| ordered_ms.saturating_add(REPORT_MS) >= unhomed_ms)
         });
         self.is_homed || ordered
     }
@@ -350,7 +352,7 @@ impl Orders {
         let is_asked = self.moving.is_waiting() || self.path.is_waiting();
         let is_ordered = match (self.order, self.held) {
             (Order::Single, _) | (Order::Path, None) => true,
-            (Order::Path | Order::Ending, Some((since_ms, _))) => now_ms <= since_ms + bounds.hold_ms,
+            (Order::Path | Order::Ending, Some((since_ms, _))) => now_ms <= since_ms.saturating_add(bounds.hold_ms),
             (Order::None | Order::Jog | Order::Ending, _) => false,
         };
         let is_jogged = self.jog_ends_ms.is_some_and(|ends_ms| now_ms <= ends_ms);
@@ -385,7 +387,7 @@ impl Orders {
     pub(crate) fn is_stopping(&self, bounds: &Bounds, now_ms: u64) -> bool {
         self.stop
             .as_ref()
-            .is_some_and(|stop| now_ms <= stop.since_ms + stop.duration_ms(bounds) + PIPELINE_MS)
+            .is_some_and(|stop| now_ms.saturating_sub(stop.since_ms) <= stop.duration_ms(bounds) + PIPELINE_MS)
     }
 }
 

@@ -1,8 +1,8 @@
 //! The delta robot: three arms, three forearms, one platform.
 //!
 //! The centre of the platform is one forearm away from each of three points: the elbows, moved inwards by the
-//! platform's radius. It is therefore where three equal spheres meet, below the plane through their centres. The foot of
-//! the perpendicular from there to the plane is the centre of the circle through the three points.
+//! platform's radius. It is therefore where three equal spheres meet, below the plane through their centres. The foot
+//! of the perpendicular from there to the plane is the centre of the circle through the three points.
 
 use crate::vector::{Vector, add, cross, dot, is_finite, scale, subtract};
 

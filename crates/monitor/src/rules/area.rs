@@ -3,9 +3,9 @@
 //! A joint may be 0.005 rad beyond its range: the planner keeps a margin of its own. While something is disturbed or
 //! stopping, the mechanical end stops bound it, 0.05 rad beyond the range.
 //!
-//! The tool may be the following error and 0.3 mm outside the work area, whose floor is also the paper less the pressing
-//! depth. A stop adds how far the tool slides; feedback that is not true adds the deviation that is promised for it. A
-//! robot that finds itself outside may only come nearer: what was outside at rest is allowed, and shrinks.
+//! The tool may be the following error and 0.3 mm outside the work area, whose floor is also the paper less the
+//! pressing depth. A stop adds how far the tool slides; feedback that is not true adds the deviation that is promised
+//! for it. A robot that finds itself outside may only come nearer: what was outside at rest is allowed, and shrinks.
 
 use crate::robot::MAIN_AXES;
 use crate::scene::{Finding, Scene};

@@ -1,9 +1,9 @@
 //! Finished: a drawing that is reported as finished has all of its ink.
 //!
 //! Each half millimetre of each leg with the pen down has a point of ink within the tolerance, the following error, and
-//! half the way of the pen in a millisecond at twice the drawing speed; a configured share of these places may have none.
-//! A drawing during which the feedback was not true, or a drive could not obey, is not judged: its ink is where the
-//! controller believed the pen to be.
+//! half the way of the pen in a millisecond at twice the drawing speed; a configured share of these places may have
+//! none. A drawing during which the feedback was not true, or a drive could not obey, is not judged: its ink is where
+//! the controller believed the pen to be.
 
 use crate::scene::{Finding, Scene};
 use crate::violation::Rule;

@@ -1,8 +1,9 @@
 //! Following: while drawing, the tool is never far from the path.
 //!
-//! The setpoints stay within the tolerance of the polyline of legs, and the tool within the following error of them: 0.3
-//! mm (`Cell::following_mm`), and half the acceleration times the square of a lag of 4 ms. Between parts of a drawing the pen is lifted and
-//! lowered straight above the path. A disturbance widens the bound as it does for the pen.
+//! The setpoints stay within the tolerance of the polyline of legs, and the tool within the following error of them:
+//! 0.3 mm (`Cell::following_mm`), and half the acceleration times the square of a lag of 4 ms. Between parts of a
+//! drawing the pen is lifted and lowered straight above the path. A disturbance widens the bound as it does for the
+//! pen.
 
 use crate::scene::{Finding, Scene};
 use crate::violation::Rule;

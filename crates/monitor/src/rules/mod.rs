@@ -1,7 +1,7 @@
 //! The rules: one file each, with the bound that it checks and where that bound comes from.
 //!
-//! A rule is a small type with a `check` of one millisecond. It keeps what it needs of earlier milliseconds, and knows of
-//! no other rule.
+//! A rule is a small type with a `check` of one millisecond. It keeps what it needs of earlier milliseconds, and knows
+//! of no other rule.
 
 mod acceleration;
 mod area;

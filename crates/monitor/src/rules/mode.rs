@@ -1,8 +1,8 @@
 //! Mode: a reported standstill is a standstill.
 //!
-//! A report may be some milliseconds old, and a joint creeps for a moment after a motion. The rule is broken when a mode
-//! in which the robot stands is reported after a joint has moved for 100 ms throughout which such a mode was the last
-//! one reported.
+//! A report may be some milliseconds old, and a joint creeps for a moment after a motion. The rule is broken when a
+//! mode in which the robot stands is reported after a joint has moved for 100 ms throughout which such a mode was the
+//! last one reported.
 
 use crate::bounds::CREEP_MS;
 use crate::moment::{Mode, Report};

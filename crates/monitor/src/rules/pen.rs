@@ -1,9 +1,9 @@
 //! Pen: the tip touches the paper only where it was ordered to.
 //!
-//! It may touch within the tolerance and the following error of a leg of the present drawing, or of a move or pen order,
-//! where that leg lies within the pen's spring of the paper; anywhere during a jog, which the operator steers; and where
-//! it stands. In a stop it may slide on: twice the tool's speed times reaction and ramp, and 2 mm. While feedback is not
-//! true the deviation that is promised for it comes on top.
+//! It may touch within the tolerance and the following error of a leg of the present drawing, or of a move or pen
+//! order, where that leg lies within the pen's spring of the paper; anywhere during a jog, which the operator steers;
+//! and where it stands. In a stop it may slide on: twice the tool's speed times reaction and ramp, and 2 mm. While
+//! feedback is not true the deviation that is promised for it comes on top.
 
 use crate::scene::{Finding, Scene};
 use crate::vector::{Vector, length, subtract};

@@ -1,10 +1,10 @@
 //! Permission: nothing moves without configuration, homing, power and an order to move.
 //!
-//! A move, the pen alone and a drawing permit motion until the controller reports a mode in which it stands; a jog until
-//! its dead-man time, the way of an order to the motors, and its deceleration have passed; a drawing that is held, by
-//! order or for a silent host, and a motion that is cancelled until they have braked and lifted the pen. What may creep
-//! after that comes to rest within 100 ms, and a joint that stands stays within 0.02 rad of where it stood. A motion that
-//! outlasts a jog breaks the rule `deadman`, one that outlasts the host's silence the rule `silence`.
+//! A move, the pen alone and a drawing permit motion until the controller reports a mode in which it stands; a jog
+//! until its dead-man time, the way of an order to the motors, and its deceleration have passed; a drawing that is
+//! held, by order or for a silent host, and a motion that is cancelled until they have braked and lifted the pen. What
+//! may creep after that comes to rest within 100 ms, and a joint that stands stays within 0.02 rad of where it stood. A
+//! motion that outlasts a jog breaks the rule `deadman`, one that outlasts the host's silence the rule `silence`.
 
 use crate::bounds::{CREEP_MS, STAND_RAD};
 use crate::cell::AXES_MAX;

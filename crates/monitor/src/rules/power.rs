@@ -2,8 +2,8 @@
 //!
 //! Enabling permits power, after a configuration and, after a stop or a fault, after an acknowledgement. A stop, a
 //! reported fault, a restart, and an accepted order to disable end the permission. The controller then waits at most
-//! 1,000 ms for a standstill and 100 ms for the brakes, and the drives follow within 100 ms. Drives that the telegrams do
-//! not reach take their watchdog's time in addition; a drive that cannot obey is not judged.
+//! 1,000 ms for a standstill and 100 ms for the brakes, and the drives follow within 100 ms. Drives that the telegrams
+//! do not reach take their watchdog's time in addition; a drive that cannot obey is not judged.
 
 use crate::cell::AXES_MAX;
 use crate::scene::{Finding, Scene};

@@ -3,9 +3,9 @@
 //! A joint: the configured limit, plus the correction that the controller adds before the following error is a fault
 //! (gain times largest error), at most the largest command; 5 % and 0.1 rad/s for the overshoot of a velocity loop.
 //!
-//! The tool, in sound motion: the configured speed times the override, 5 % and 20 mm/s. Single moves, jogs and lifts are
-//! not scaled by the override. Where only legs with the pen down are near and the pen touches, the drawing speed counts,
-//! else the travel speed. An override counts from its command until the path has slowed down after a lower one.
+//! The tool, in sound motion: the configured speed times the override, 5 % and 20 mm/s. Single moves, jogs and lifts
+//! are not scaled by the override. Where only legs with the pen down are near and the pen touches, the drawing speed
+//! counts, else the travel speed. An override counts from its command until the path has slowed down after a lower one.
 
 use crate::bounds::Bounds;
 use crate::orders::Order;

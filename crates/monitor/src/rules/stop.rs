@@ -2,8 +2,8 @@
 //!
 //! The drives brake at most 10 ms and their own delays after the command, the opened input or the report of a fault, or
 //! after their watchdog if the telegrams do not reach them. Until then a joint may gain speed by its acceleration; from
-//! then on its speed falls by the quick stop's deceleration, or by the brake's if that is weaker, with 5 % and 0.1 rad/s
-//! of margin. At rest it may creep above 1e-3 rad/s for 20 ms. A drive that cannot obey is not judged.
+//! then on its speed falls by the quick stop's deceleration, or by the brake's if that is weaker, with 5 % and 0.1
+//! rad/s of margin. At rest it may creep above 1e-3 rad/s for 20 ms. A drive that cannot obey is not judged.
 
 use crate::bounds::STILL_RAD_S;
 use crate::cell::AXES_MAX;
