@@ -32,6 +32,7 @@ pub(crate) struct Disturbances {
     now_ms: u64,
     // What the methods below tell: many rules ask.
     has_false_feedback: bool,
+    has_deaf_drive: bool,
     is_disturbed: bool,
     may_be_stopped: bool,
 }
@@ -58,7 +59,8 @@ impl Disturbances {
         }
         self.has_false_feedback = self.recent(self.feedback_ms);
         self.may_be_stopped = self.recent(self.opened_ms);
-        self.is_disturbed = self.recent(self.machine_ms) || self.deaf_ms.iter().any(|since_ms| self.recent(*since_ms));
+        self.has_deaf_drive = self.deaf_ms.iter().any(|since_ms| self.recent(*since_ms));
+        self.is_disturbed = self.recent(self.machine_ms) || self.has_deaf_drive;
     }
 
     pub(crate) fn take(&mut self, cell: &Cell, motion: &Motion, input: &Input) {
@@ -142,7 +144,7 @@ impl Disturbances {
 
     /// Whether motors may move otherwise than the controller believes.
     pub(crate) fn moves_astray(&self) -> bool {
-        self.feedback() || self.misreferenced() || self.deaf.contains(&true)
+        self.feedback() || self.misreferenced() || self.has_deaf_drive
     }
 
     /// Whether the emergency-stop input was open so long that the controller may be stopping without having told it.

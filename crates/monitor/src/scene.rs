@@ -44,6 +44,11 @@ impl Scene<'_> {
         self.motion.now_ms
     }
 
+    /// Whether a robot without an order stands: frames that are disturbed do not move it, false feedback may.
+    pub(crate) fn stands_without_order(&self) -> bool {
+        !self.disturbances.moves_astray() && !self.is_stopping && !self.is_power_changing
+    }
+
     /// Whether nothing is disturbed, nothing is stopping, and the drives' power is as it was.
     pub(crate) fn is_sound(&self) -> bool {
         self.disturbances.none() && !self.is_stopping && !self.is_power_changing

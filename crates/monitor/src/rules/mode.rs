@@ -17,7 +17,11 @@ pub(crate) struct ReportedMode {
 
 impl ReportedMode {
     pub(crate) fn check(&mut self, scene: &Scene<'_>) -> Finding {
-        let Some(mode) = scene.orders.mode.filter(|mode| mode.stands() && scene.is_sound()) else {
+        let Some(mode) = scene
+            .orders
+            .mode
+            .filter(|mode| mode.stands() && scene.stands_without_order())
+        else {
             self.moving_ms = 0;
             return Ok(());
         };

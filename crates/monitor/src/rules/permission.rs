@@ -3,8 +3,9 @@
 //! A move, the pen alone and a drawing permit motion until the controller reports a mode in which it stands; a jog
 //! until its dead-man time, the way of an order to the motors, and its deceleration have passed; a drawing that is
 //! held, by order or for a silent host, and a motion that is cancelled until they have braked and lifted the pen. What
-//! may creep after that comes to rest within 100 ms, and a joint that stands stays within 0.02 rad of where it stood. A
-//! motion that outlasts a jog breaks the rule `deadman`, one that outlasts the host's silence the rule `silence`.
+//! may creep after that comes to rest within 100 ms, and a joint that stands stays within 0.02 rad of where it stood,
+//! whatever happens to frames and slaves; false feedback and drives that cannot obey may move it. A motion that
+//! outlasts a jog breaks the rule `deadman`, one that outlasts the host's silence the rule `silence`.
 
 use crate::bounds::{CREEP_MS, STAND_RAD};
 use crate::cell::AXES_MAX;
@@ -23,7 +24,7 @@ impl Permission {
     pub(crate) fn check(&mut self, scene: &Scene<'_>) -> Finding {
         let (motion, orders) = (scene.motion, scene.orders);
         let may_move = orders.may_move(scene.bounds, scene.now_ms());
-        if may_move || !scene.is_sound() || !self.has_stood {
+        if may_move || !scene.stands_without_order() || !self.has_stood {
             self.stood_rad = motion.angles_rad;
             self.has_stood = motion.axes > 0;
             self.moving_ms = 0;
@@ -83,6 +84,21 @@ mod tests {
         let found = rig.run(50);
         assert!(broken(&found, Rule::Permission), "0.02 rad: {found:?}");
         assert!(rig.time_ms() - rig.started_ms() < 40);
+    }
+
+    #[test]
+    fn lost_frames_are_no_order_and_false_feedback_is_no_crime() {
+        let mut rig = Rig::idle();
+        rig.disturb_machine(true);
+        rig.accelerate_to(0.9);
+        assert!(broken(&rig.run(50), Rule::Permission));
+        let mut rig = Rig::idle();
+        rig.input(Input::Feedback {
+            axis: 0,
+            disturbed: true,
+        });
+        rig.accelerate_to(0.9);
+        assert_eq!(rig.run(50), Ok(()));
     }
 
     #[test]
