@@ -21,7 +21,7 @@ fn place(ms: usize) -> [f64; 3] {
 }
 
 #[test]
-fn a_step_costs_about_a_microsecond() {
+fn a_step_costs_little() {
     let cell = Cell::default();
     let mut monitor = Monitor::new(cell.clone());
     let way: Vec<[Joint; 4]> = (0..DRAWING_MS)
