@@ -297,6 +297,9 @@ impl Motion {
             self.joined = true;
             self.pushed = 0;
             self.shaper.merge(0);
+            if vertex.pen == Pen::Up {
+                self.lift_first(vertex);
+            }
         }
         self.pushed = self.pushed.saturating_add(1);
         self.finished = false;
@@ -315,6 +318,23 @@ impl Motion {
             }
         }
         Ok(())
+    }
+
+    /// Lets a path begin with lifting the pen if it is near the paper: on its way to the first vertex it would leave ink.
+    fn lift_first(&mut self, vertex: &Vertex) {
+        let mut above = self.here.point;
+        let near_paper = above[2] < self.pen_down_z_mm + NEAR_PAPER * self.pen_lift_mm;
+        above[2] = self.pen_down_z_mm + self.pen_lift_mm;
+        let is_free = || self.area.check(&above.into()).is_ok();
+        let leads_on = || check_way_in(&self.area, &above.into(), &vertex.position).is_ok();
+        if near_paper && is_free() && leads_on() {
+            self.queue.push(Node {
+                point: above,
+                pen: Pen::Up,
+                stroke: vertex.stroke,
+                count: 0,
+            });
+        }
     }
 
     /// Whether progress is required now: the motion is not at rest, does not wait for path data, does not pause at a

@@ -144,3 +144,44 @@ fn the_pen_changes_without_a_stop_unless_it_dwells() {
     assert!((36..=41).contains(&longest), "{longest} ms");
     assert!(with_s > without_s + 10.0 * 0.04);
 }
+
+#[test]
+fn a_path_that_begins_on_the_paper_leaves_no_ink_on_the_way_to_its_first_stroke() {
+    let settings = Settings::default();
+    let kinematics = Kinematics::new(&settings.geometry).unwrap();
+    let (down, up) = (
+        settings.paper.pen_down_z_mm,
+        settings.paper.pen_down_z_mm + settings.paper.pen_lift_mm,
+    );
+    for seed in 1..=40 {
+        let mut random = Random::new(seed);
+        let mut spot = |z| [random.between(-60.0, 60.0), random.between(-60.0, 60.0), z];
+        let (rest, above, end) = (spot(down), spot(up), spot(down));
+        let on_paper = [above[0], above[1], down];
+        let path = [
+            vertex(above, Pen::Up, 1),
+            vertex(on_paper, Pen::Down, 1),
+            vertex(end, Pen::Down, 1),
+            vertex([end[0], end[1], up], Pen::Up, 1),
+        ];
+        let mut run = Run::new(&settings, &path);
+        run.trajectory = placed(&settings, rest);
+        run.setpoints.clear();
+        run.step();
+        let run = run.whole();
+        run.check_limits(&format!("seed {seed}"));
+        for setpoint in &run.setpoints {
+            let at = kinematics.forward(&JointAngles(setpoint.position_rad)).unwrap();
+            let touches = at.z_mm < down + 0.05 * settings.paper.pen_lift_mm;
+            let dragged = (at.x_mm - rest[0]).hypot(at.y_mm - rest[1]);
+            if setpoint.pen == Pen::Up && touches && dragged > settings.motion.tolerance_mm {
+                let placing = (at.x_mm - above[0]).hypot(at.y_mm - above[1]);
+                let lifting = (at.x_mm - end[0]).hypot(at.y_mm - end[1]);
+                assert!(
+                    placing.min(lifting) < 0.1,
+                    "seed {seed}: ink {dragged:.2} mm from where the pen stood"
+                );
+            }
+        }
+    }
+}
