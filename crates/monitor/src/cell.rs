@@ -134,6 +134,9 @@ pub struct Cell {
     /// How far the tool may be from its setpoints at rest and in steady motion, mm. 0.3 leaves room beside the 0.1 mm
     /// that drives with a velocity loop of their own keep; motors in torque mode need 1.0 (`tests/drives.rs`).
     pub following_mm: f64,
+    /// Part of its speed by which the tool may exceed it. 0.05 leaves room for the overshoot of drives with a velocity
+    /// loop of their own; motors in torque mode need 0.15.
+    pub overshoot_part: f64,
     /// Share of a drawing's lines that may be without ink. In torque mode the pen's spring does not always reach the
     /// paper: 0.01 (`tests/drives.rs`).
     pub ink_missing_part: f64,
@@ -178,6 +181,7 @@ impl Default for Cell {
             tolerance_mm: 0.05,
             travel_tolerance_mm: 0.5,
             following_mm: 0.3,
+            overshoot_part: 0.05,
             ink_missing_part: 0.0,
             disturbed_mm: 40.0,
             dead_man_ms: 100,

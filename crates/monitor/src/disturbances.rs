@@ -115,7 +115,8 @@ impl Disturbances {
 
     fn home(&mut self, is_off: bool) {
         self.before_homing.get_or_insert(self.misreferenced);
-        self.misreferenced = is_off;
+        // What is not true when the reference is taken makes the reference untrue.
+        self.misreferenced = is_off || self.feedback.contains(&true);
     }
 
     fn recent(&self, since_ms: Option<u64>) -> bool {

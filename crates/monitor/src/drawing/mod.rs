@@ -114,6 +114,9 @@ impl Drawing {
                 }
                 if self.job == Some(job) && index >= self.vertices {
                     self.vertices = index.saturating_add(1);
+                    if index == 0 && !pen_down {
+                        self.lift_first(cell, bounds);
+                    }
                     self.append(position_mm, pen_down, bounds);
                 }
             }
@@ -162,6 +165,14 @@ impl Drawing {
             *single = Some((command, leg));
         }
         self.single = (self.single + 1) % SINGLES_MAX;
+    }
+
+    /// A pen that may touch where a drawing begins is lifted first, straight up.
+    fn lift_first(&mut self, cell: &Cell, bounds: &Bounds) {
+        if let Some([x, y, z]) = self.end.filter(|from| from[2] <= bounds.touch_z_mm) {
+            let up_mm = cell.paper.pen_down_z_mm + cell.paper.pen_lift_mm;
+            self.append([x, y, up_mm.max(z)], false, bounds);
+        }
     }
 
     fn append(&mut self, to: Vector, pen_down: bool, bounds: &Bounds) {
@@ -302,7 +313,13 @@ impl Drawing {
                 }
             }
         }
-        first.filter(|_| f64::from(missing) > part_max * f64::from(places))
+        // A share of a short drawing is less than a place: then any one place may be without ink.
+        let missing_max = if part_max > 0.0 {
+            (part_max * f64::from(places)).max(1.0)
+        } else {
+            0.0
+        };
+        first.filter(|_| f64::from(missing) > missing_max)
     }
 }
 

@@ -98,3 +98,25 @@ fn ink_is_missing_where_there_is_none() {
     drawing.was_disturbed = true;
     assert_eq!(drawing.missing(0.5, 0.0), None);
 }
+
+#[test]
+fn a_drawing_that_begins_on_the_paper_begins_with_a_lift() {
+    let (cell, bounds) = (Cell::default(), Bounds::new(&Cell::default()));
+    let mut drawing = Drawing::new();
+    let pressed = Some([10.0, 0.0, -855.0]);
+    drawing.take(&cell, &bounds, pressed, &Input::Commanded(Command::Draw { job: 1 }));
+    let first = Input::PathVertex {
+        job: 1,
+        index: 0,
+        position_mm: [60.0, 0.0, -847.0],
+        pen_down: false,
+    };
+    drawing.take(&cell, &bounds, pressed, &first);
+    for on_way in [[10.0, 0.0, -851.0], [10.0, 0.0, -847.0], [40.0, 0.0, -847.0]] {
+        assert!(drawing.locate(&cell, &bounds, &on_way, 0.0).is_on_path, "{on_way:?}");
+    }
+    assert!(
+        !drawing.may_touch(&bounds, &[12.0, 0.0, -849.8], 0.0),
+        "no ink on the way"
+    );
+}

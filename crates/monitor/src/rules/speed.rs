@@ -58,7 +58,7 @@ fn tool(scene: &Scene<'_>) -> (f64, f64) {
     if draws {
         // A pen that is lifted from the path moves upwards, at the speed of lifts.
         let [x, y, _] = motion.velocity_mm_s;
-        return (x.hypot(y), Bounds::with_margin(cell.tool_speed_mm_s * part));
+        return (x.hypot(y), Bounds::with_margin(cell, cell.tool_speed_mm_s * part));
     }
     let on_path = (cell.tool_speed_mm_s.max(cell.travel_speed_mm_s) * part).max(scene.bounds.lift_mm_s);
     let is_path_alone = scene.orders.order == Order::Path && scene.orders.is_drawing(scene.now_ms());
@@ -67,7 +67,7 @@ fn tool(scene: &Scene<'_>) -> (f64, f64) {
     } else {
         on_path.max(cell.travel_speed_mm_s)
     };
-    (motion.tool_speed_mm_s, Bounds::with_margin(bound))
+    (motion.tool_speed_mm_s, Bounds::with_margin(cell, bound))
 }
 
 #[cfg(test)]
