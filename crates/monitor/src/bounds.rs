@@ -7,9 +7,6 @@ use crate::cell::{AXES_MAX, Cell, JointLimits};
 
 /// Speed above which a joint moves, rad/s.
 pub(crate) const STILL_RAD_S: f64 = 1.0e-3;
-/// How long a joint may creep above [`STILL_RAD_S`] after a motion, ms: the position controller closes the last
-/// hundredths of a degree with a time constant of at most 25 ms.
-pub(crate) const CREEP_MS: u32 = 100;
 /// How far a joint that is to stand may be from where it stood, rad. The controller promises it for a robot that only
 /// holds (`tests/reactions/unreferenced.rs`); motors that take over their load from the brakes sag by less.
 pub(crate) const STAND_RAD: f64 = 0.02;

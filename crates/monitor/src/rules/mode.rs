@@ -4,7 +4,6 @@
 //! mode in which the robot stands is reported after a joint has moved for 100 ms throughout which such a mode was the
 //! last one reported.
 
-use crate::bounds::CREEP_MS;
 use crate::moment::{Mode, Report};
 use crate::scene::{Finding, Scene};
 use crate::violation::Rule;
@@ -28,7 +27,7 @@ impl ReportedMode {
         let moved_ms = self.moving_ms;
         self.moving_ms = if scene.motion.moves { self.moving_ms + 1 } else { 0 };
         let stands = |report: &Report| matches!(report, Report::Mode(mode) if Mode::stands(*mode));
-        if moved_ms > CREEP_MS && scene.motion.moves && scene.moment.reports.iter().any(stands) {
+        if moved_ms > scene.cell.creep_ms && scene.motion.moves && scene.moment.reports.iter().any(stands) {
             let text = format!("{mode:?} is reported while a joint has been moving for {moved_ms} ms");
             return Err((Rule::Mode, text));
         }

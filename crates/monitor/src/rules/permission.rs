@@ -3,11 +3,11 @@
 //! A move, the pen alone and a drawing permit motion until the controller reports a mode in which it stands; a jog
 //! until its dead-man time, the way of an order to the motors, and its deceleration have passed; a drawing that is
 //! held, by order or for a silent host, and a motion that is cancelled until they have braked and lifted the pen. What
-//! may creep after that comes to rest within 100 ms, and a joint that stands stays within 0.02 rad of where it stood,
+//! may creep after that comes to rest within a time of the drives, and a joint that stands stays within 0.02 rad of where it stood,
 //! whatever happens to frames and slaves; false feedback and drives that cannot obey may move it. A motion that
 //! outlasts a jog breaks the rule `deadman`, one that outlasts the host's silence the rule `silence`.
 
-use crate::bounds::{CREEP_MS, STAND_RAD};
+use crate::bounds::STAND_RAD;
 use crate::cell::AXES_MAX;
 use crate::scene::{Finding, Scene};
 
@@ -31,7 +31,7 @@ impl Permission {
             return Ok(());
         }
         self.moving_ms = if motion.moves { self.moving_ms + 1 } else { 0 };
-        if self.moving_ms > CREEP_MS {
+        if self.moving_ms > scene.cell.creep_ms {
             let text = format!("a joint moves for {} ms, {}", self.moving_ms, self.why(scene));
             return Err((orders.rule_of_rest(), text));
         }
