@@ -25,6 +25,7 @@ const KINDS: [Kind; 1] = [Kind {
     own: &[
         "crates/monitor/src/robot/delta.rs",
         "crates/motion/src/robots/delta/",
+        "host-tools/src/campaign/robot/delta.rs",
         "host-tools/src/cell/mechanism/delta.rs",
         "host-tools/assets/console/robot_delta.js",
     ],
@@ -34,9 +35,10 @@ const KINDS: [Kind; 1] = [Kind {
 const CHECK: &str = "tests/robots.rs";
 
 /// Files that choose a kind, and may name it, but none of its parts.
-const SEAMS: [&str; 5] = [
+const SEAMS: [&str; 6] = [
     "crates/monitor/src/robot/mod.rs",
     "crates/motion/src/robots/mod.rs",
+    "host-tools/src/campaign/robot/mod.rs",
     "host-tools/src/cell/mechanism/mod.rs",
     "host-tools/assets/console/robot.js",
     "host-tools/src/console/assets.rs",

@@ -15,8 +15,8 @@
 //!    admitted path; recordings of telemetry; configuration files; the cell with a capture of its bus; the cell for any
 //!    master; firmware in virtual time
 //! 6. `job`: tasks over one connection to the firmware, their progress, and how they go on after an interruption
-//! 7. `machine`, `run`, `report`, `doctor`: one machine with several users; one drawing against the virtual cell; its
-//!    figures; checks of what the commands need
+//! 7. `machine`, `run`, `report`, `doctor`, `campaign`: one machine with several users; one drawing against the virtual
+//!    cell; its figures; checks of what the commands need; random episodes under the monitor
 //! 8. `report::output`, `bus`, `console`: the files of a drawing; diagnosis of an EtherCAT bus; the console in the browser
 //! 9. `bench`: measurements of the project and of its peers
 //! 10. `commands`: options, calls and printed results of the program's commands
@@ -24,6 +24,7 @@
 
 pub mod bench;
 pub mod bus;
+pub mod campaign;
 pub mod captured_cell;
 pub mod cell;
 pub mod commands;

@@ -3,8 +3,8 @@
 
 use clap::{Command, CommandFactory, FromArgMatches, Parser};
 use host_tools::commands::{
-    bench, bus, configuration, console, demo, doctor, draw, emulate, flash, identify, kinematics, operate, order, plan,
-    preview, record, recorded, reference, segment, shell, simulate, vectorize, verify,
+    bench, bus, campaign, configuration, console, demo, doctor, draw, emulate, flash, identify, kinematics, operate,
+    order, plan, preview, record, recorded, reference, segment, shell, simulate, vectorize, verify,
 };
 use host_tools::drawing::preparation::confined;
 use host_tools::error::ProgramError;
@@ -81,6 +81,8 @@ enum Subcommand {
     Man(shell::Man),
     /// Compare the project's figures with those of its peers; installs and builds what is missing.
     Bench(bench::Arguments),
+    /// Look for failures: random drawings, commands and faults in virtual time, judged by an independent monitor.
+    Campaign(campaign::Arguments),
     /// Set up, format, lint, test and build everything, as continuous integration does.
     Verify(verify::Arguments),
 }
@@ -105,6 +107,7 @@ fn main() -> ExitCode {
     let result = match arguments.command {
         Subcommand::Bench(arguments) => bench::run(&arguments),
         Subcommand::Bus(arguments) => bus::run(&arguments),
+        Subcommand::Campaign(arguments) => campaign::run(&arguments),
         Subcommand::Completions(arguments) => shell::completions(&arguments, command_line()),
         Subcommand::Confined => confined::run(),
         Subcommand::Config(arguments) => configuration::run(&arguments),

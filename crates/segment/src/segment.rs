@@ -127,6 +127,8 @@ pub struct SlaveState {
 pub struct MotorState {
     /// The slave that has it, from 1.
     pub slave: usize,
+    /// State of its drive.
+    pub drive: DriveState,
     /// True angle, rad.
     pub angle_rad: f64,
     /// True speed, rad/s.
@@ -266,9 +268,11 @@ impl<L: Load> Segment<L> {
     pub fn motors(&self) -> impl Iterator<Item = MotorState> {
         let slaves = (1..).zip(self.chain.slaves());
         slaves.filter_map(|(number, slave)| {
-            let motor = slave.drive()?.motor();
+            let drive = slave.drive()?;
+            let motor = drive.motor();
             Some(MotorState {
                 slave: number,
+                drive: drive.state(),
                 angle_rad: motor.angle_rad(),
                 speed_rad_s: motor.speed_rad_s(),
             })

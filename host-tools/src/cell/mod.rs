@@ -34,7 +34,7 @@ use machine::Machine;
 use std::collections::BTreeMap;
 
 /// Deceleration of a joint whose motor's brake is closed, rad/s2.
-const BRAKE_RAD_S2: f64 = 400.0;
+pub(crate) const BRAKE_RAD_S2: f64 = 400.0;
 
 /// Options of the cell, beyond the configuration.
 #[derive(Clone, Debug)]
@@ -109,6 +109,19 @@ pub struct CellState {
     pub frames: u64,
     /// The slaves in the order of the chain.
     pub slaves: Vec<SlaveState>,
+}
+
+/// The motors and the pen at one time.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Truth {
+    /// True joint angles, radians.
+    pub angles_rad: [f64; AXES],
+    /// True joint speeds, rad/s.
+    pub speeds_rad_s: [f64; AXES],
+    /// Whether the drive moves or holds its motor; otherwise the brake does.
+    pub has_power: [bool; AXES],
+    /// Whether the pen touches.
+    pub pen_touches: bool,
 }
 
 /// The virtual cell.
@@ -204,21 +217,36 @@ impl Cell {
         self.segment.frames()
     }
 
+    /// The motors and the pen at present.
+    #[must_use]
+    pub fn truth(&self) -> Truth {
+        let machine = self.segment.load();
+        let mut truth = Truth {
+            pen_touches: machine.sheet.touching(),
+            ..Truth::default()
+        };
+        let motors = self.segment.motors();
+        let motors = motors.filter_map(|motor| Some((motor, machine.gear(motor.slave)?)));
+        for (axis, (motor, gear)) in motors.take(AXES).enumerate() {
+            truth.angles_rad[axis] = gear.joint_rad(motor.angle_rad);
+            truth.speeds_rad_s[axis] = gear.joint_rad_s(motor.speed_rad_s);
+            truth.has_power[axis] = matches!(
+                motor.drive,
+                DriveState::OperationEnabled | DriveState::QuickStopActive | DriveState::FaultReactionActive
+            );
+        }
+        truth
+    }
+
     /// The present state of the cell.
     #[must_use]
     pub fn state(&self) -> CellState {
         let Machine { robot, sheet, .. } = self.segment.load();
-        let (mut joints, mut velocities) = ([0.0; AXES], [0.0; AXES]);
-        let motors = self.segment.motors();
-        let motors = motors.filter_map(|motor| Some((motor, self.segment.load().gear(motor.slave)?)));
-        for ((joint, velocity), (motor, gear)) in joints.iter_mut().zip(&mut velocities).zip(motors) {
-            *joint = gear.joint_rad(motor.angle_rad);
-            *velocity = gear.joint_rad_s(motor.speed_rad_s);
-        }
+        let truth = self.truth();
         CellState {
             time_ms: self.segment.time_ms(),
-            joints: JointAngles(joints),
-            velocities: JointVelocities(velocities),
+            joints: JointAngles(truth.angles_rad),
+            velocities: JointVelocities(truth.speeds_rad_s),
             platform: robot.platform(),
             pen_touches: sheet.touching(),
             contacts_outside: sheet.contacts_outside(),

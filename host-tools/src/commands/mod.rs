@@ -4,6 +4,7 @@
 
 pub mod bench;
 pub mod bus;
+pub mod campaign;
 pub mod configuration;
 pub mod console;
 pub mod demo;

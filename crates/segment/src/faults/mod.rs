@@ -309,6 +309,24 @@ fn entry(first: &str, words: &mut Words) -> Result<(When, Fault), ScriptError> {
     Ok((when, fault))
 }
 
+impl FromStr for Fault {
+    type Err = ScriptError;
+
+    /// Reads the second half of a script's line, without its time: `stuck 1 200`.
+    fn from_str(text: &str) -> Result<Self, ScriptError> {
+        let mut words = Words {
+            line: 1,
+            words: text.split_whitespace(),
+        };
+        let name = words.words.next().unwrap_or_default();
+        let fault = fault(name, &mut words)?;
+        match words.words.next() {
+            Some(word) => Err(words.error(ScriptProblem::Surplus, word)),
+            None => Ok(fault),
+        }
+    }
+}
+
 fn fault(name: &str, words: &mut Words) -> Result<Fault, ScriptError> {
     Ok(match name {
         "drop" => Fault::Drop,

@@ -97,7 +97,7 @@ pub fn fault(fault: &Fault) -> String {
         ),
         Fault::OtherProduct { slave, expected, found } => format!(
             "slave {} is a different product (product code {found:#010x}, expected {expected:#010x}); put the right \
-             one back, then acknowledge",
+             one back, then acknowledge; if this one is to stay, reset the board",
             one(slave)
         ),
         Fault::RepairTimeout { waited_ms } => format!(

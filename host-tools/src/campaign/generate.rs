@@ -1,0 +1,358 @@
+//! Makes episodes from seeds.
+//!
+//! A seed and a profile always give the same episode. Lengths, speeds and times are spread over scales, not over ranges,
+//! so that small values are as likely as large ones.
+
+use super::episode::{Episode, Event, Figure, What, Wish};
+use super::trouble;
+use clap::ValueEnum;
+use etherpen::config::Config;
+use etherpen::messages::Command;
+use etherpen::motion::Pen;
+use etherpen::robots::Position;
+use etherpen_segment::random::Random;
+use std::collections::BTreeMap;
+use toml::Value;
+
+/// Which faults an episode may have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Profile {
+    /// Everything below, several at once.
+    All,
+    /// No faults: random drawings and commands on a sound machine.
+    Quiet,
+    /// Frames, cables, power and slaves of the bus.
+    Bus,
+    /// Drives and their position feedback.
+    Drives,
+    /// The serial line and the operator's program.
+    Link,
+    /// Inputs, clock and processor of the board.
+    Board,
+    /// Commands at any time, several in one millisecond.
+    Operator,
+}
+
+/// Chances of an episode.
+pub(super) struct Chance(Random);
+
+impl Chance {
+    pub(super) fn new(seed: u64) -> Self {
+        Self(Random::new(seed))
+    }
+
+    /// A number below a bound.
+    pub(super) fn below(&mut self, bound: u64) -> u64 {
+        self.0.bits() % bound.max(1)
+    }
+
+    /// Whether something of one chance in `count` happens.
+    pub(super) fn one_in(&mut self, count: u64) -> bool {
+        self.below(count) == 0
+    }
+
+    pub(super) fn between(&mut self, low: f64, high: f64) -> f64 {
+        low + (high - low) * self.0.unit()
+    }
+
+    /// A value spread evenly over the scales between two positive values.
+    pub(super) fn scaled(&mut self, low: f64, high: f64) -> f64 {
+        low * (high / low).powf(self.0.unit())
+    }
+
+    /// Milliseconds, spread over the scales up to `most`.
+    pub(super) fn milliseconds(&mut self, most: u32) -> u32 {
+        self.scaled(1.0, f64::from(most)) as u32
+    }
+
+    pub(super) fn one_of<T: Clone>(&mut self, values: &[T]) -> T {
+        values[self.below(values.len() as u64) as usize].clone()
+    }
+}
+
+/// Longest time of an episode before everything is healed, ms.
+const DURATION_MAX_MS: f64 = 25_000.0;
+/// Half the side of the square in which figures lie, mm.
+const FIGURE_MM: f64 = 90.0;
+/// Most events of an episode.
+const EVENTS_MAX: u64 = 14;
+
+/// The episode of a seed.
+#[must_use]
+pub fn episode(seed: u64, profile: Profile) -> Episode {
+    let mut chance = Chance::new(seed ^ 0x5EED_0000_0000_0000);
+    let duration_ms = chance.scaled(3_000.0, DURATION_MAX_MS) as u32;
+    let figures: Vec<Figure> = (0..1 + chance.below(3)).map(|_| figure(&mut chance)).collect();
+    let wishes = (0..1 + chance.below(6))
+        .map(|_| wish(&mut chance, figures.len()))
+        .collect();
+    let mut episode = Episode {
+        found: String::new(),
+        seed: chance.below(1 << 40),
+        duration_ms,
+        patience_ms: chance.scaled(10.0, 1_000.0) as u32,
+        draws: true,
+        wishes,
+        figures,
+        config: configuration(&mut chance),
+        events: Vec::new(),
+    };
+    if profile != Profile::Quiet {
+        episode.events = events(&mut chance, profile, duration_ms);
+    }
+    episode
+}
+
+/// Events at random times, now and then several in one burst.
+fn events(chance: &mut Chance, profile: Profile, duration_ms: u32) -> Vec<Event> {
+    let mut events = Vec::new();
+    let mut at_ms = 0;
+    for _ in 0..chance.below(EVENTS_MAX) {
+        let in_a_burst = chance.one_in(3);
+        at_ms = match in_a_burst {
+            true => at_ms + chance.below(5) as u32,
+            false => chance.below(duration_ms.into()) as u32,
+        };
+        events.push(Event {
+            at_ms: at_ms.min(duration_ms),
+            what: what(chance, profile),
+        });
+    }
+    events.sort_by_key(|event| event.at_ms);
+    events
+}
+
+fn what(chance: &mut Chance, profile: Profile) -> What {
+    let profile = match profile {
+        Profile::All | Profile::Quiet => chance.one_of(&[
+            Profile::Bus,
+            Profile::Bus,
+            Profile::Drives,
+            Profile::Drives,
+            Profile::Link,
+            Profile::Board,
+            Profile::Operator,
+        ]),
+        one => one,
+    };
+    match profile {
+        Profile::Bus if chance.one_in(3) => What::Frames(trouble::of_frames(chance), chance.scaled(1.0, 80.0) as u32),
+        Profile::Bus if chance.one_in(10) => What::State(chance.below(4) as u8, chance.one_of(&[1, 2, 4, 8])),
+        Profile::Bus => What::Fault(trouble::of_the_bus(chance)),
+        Profile::Drives => What::Fault(trouble::of_a_drive(chance)),
+        Profile::Link => match chance.below(4) {
+            0 => What::Reconnect,
+            1 => What::Unplug(chance.milliseconds(4_000)),
+            _ => What::Noise(chance.milliseconds(4_000), chance.scaled(1.0, 300.0) as u32),
+        },
+        Profile::Board => match chance.below(6) {
+            0 => What::SubstituteClock(chance.milliseconds(2_000)),
+            1 => What::TrajectoryWaits(chance.milliseconds(90)),
+            2 => What::PortDown(chance.milliseconds(2_000)),
+            _ => What::StopInput(chance.milliseconds(2_000)),
+        },
+        Profile::Operator | Profile::All | Profile::Quiet if chance.one_in(2) => What::Beside(command(chance)),
+        Profile::Operator | Profile::All | Profile::Quiet => What::Command(command(chance)),
+    }
+}
+
+/// A command at a moment that nobody chose. Homing is left to the operator, who knows the robot's pose.
+fn command(chance: &mut Chance) -> Command {
+    match chance.below(14) {
+        0 | 1 => Command::Stop,
+        2 => Command::Enable,
+        3 => Command::Disable,
+        4 => Command::Hold,
+        5 => Command::Resume,
+        6 => Command::Cancel,
+        7 => Command::Acknowledge,
+        8 => Command::Override {
+            percent: chance.below(256) as u8,
+        },
+        9 => Command::Pen {
+            pen: chance.one_of(&[Pen::Up, Pen::Down]),
+        },
+        10 => Command::Jog {
+            velocity_mm_s: velocity(chance),
+        },
+        11 => Command::Draw {
+            job: chance.below(4) as u16,
+        },
+        _ => {
+            let [x_mm, y_mm, z_mm] = position(chance);
+            Command::Move {
+                position: Position { x_mm, y_mm, z_mm },
+            }
+        }
+    }
+}
+
+fn velocity(chance: &mut Chance) -> [f32; 3] {
+    let speed_mm_s = chance.scaled(0.5, 400.0);
+    [0; 3].map(|_| chance.between(-speed_mm_s, speed_mm_s) as f32)
+}
+
+/// A position above the paper; one in eight lies outside the work area.
+fn position(chance: &mut Chance) -> [f64; 3] {
+    let reach_mm = if chance.one_in(8) { 900.0 } else { 250.0 };
+    [
+        chance.between(-reach_mm, reach_mm),
+        chance.between(-reach_mm, reach_mm),
+        chance.between(-848.0, -780.0),
+    ]
+}
+
+fn wish(chance: &mut Chance, figures: usize) -> Wish {
+    match chance.below(10) {
+        0..=4 => Wish::Draw(chance.below(figures as u64) as usize),
+        5 => Wish::Move(position(chance)),
+        6 | 7 => Wish::Jog(velocity(chance), chance.milliseconds(1_500)),
+        8 => chance.one_of(&[Wish::Pen, Wish::Disable]),
+        _ => Wish::Override(chance.one_of(&[10, 50, 100, 150, 200])),
+    }
+}
+
+/// Strokes with steps of one scale each, from micrometres to the width of the paper.
+fn figure(chance: &mut Chance) -> Figure {
+    let strokes = (0..1 + chance.below(4)).map(|_| {
+        let mut at = [0.0; 2].map(|_: f64| chance.between(-0.8 * FIGURE_MM, 0.8 * FIGURE_MM));
+        let step_mm = chance.scaled(0.002, 80.0);
+        let mut points = vec![at];
+        for _ in 0..2 + chance.below(40) {
+            at = at.map(|mm| (mm + chance.between(-step_mm, step_mm)).clamp(-FIGURE_MM, FIGURE_MM));
+            points.push(at);
+        }
+        let mut points: Vec<[i32; 2]> = points
+            .iter()
+            .map(|point| point.map(|mm| (mm * 1e3).round() as i32))
+            .collect();
+        points.dedup();
+        points
+    });
+    Figure(strokes.collect())
+}
+
+/// Values that differ from the default configuration, with which the drives still follow well.
+fn configuration(chance: &mut Chance) -> BTreeMap<String, Value> {
+    let mut values = BTreeMap::new();
+    let rounded = |value: f64| Value::Float((value * 1e3).round() / 1e3);
+    let axes = Config::default().axes.len();
+    if chance.one_in(2) {
+        values.insert("motion.speed_mm_s".into(), rounded(chance.scaled(5.0, 600.0)));
+    }
+    if chance.one_in(3) {
+        values.insert("motion.travel_speed_mm_s".into(), rounded(chance.scaled(20.0, 1_000.0)));
+    }
+    if chance.one_in(3) {
+        values.insert(
+            "motion.acceleration_mm_s2".into(),
+            rounded(chance.scaled(500.0, 12_000.0)),
+        );
+    }
+    if chance.one_in(4) {
+        values.insert("motion.tolerance_mm".into(), rounded(chance.scaled(0.02, 0.3)));
+    }
+    if chance.one_in(4) {
+        values.insert("motion.jerk_window_ms".into(), Value::Integer(chance.below(12) as i64));
+    }
+    if chance.one_in(4) {
+        values.insert("motion.pen_dwell_ms".into(), Value::Integer(chance.below(80) as i64));
+    }
+    if chance.one_in(4) {
+        values.insert("paper.pen_lift_mm".into(), rounded(chance.scaled(1.0, 10.0)));
+    }
+    if chance.one_in(3) {
+        values.insert("bus.clocks".into(), Value::Boolean(true));
+    }
+    if chance.one_in(4) {
+        values.insert("bus.blind_max_ms".into(), Value::Integer(2 + chance.below(7) as i64));
+    }
+    if chance.one_in(4) {
+        values.insert("bus.watchdog_ms".into(), Value::Integer(20 + chance.below(200) as i64));
+    }
+    if chance.one_in(4) {
+        values.insert("bus.dead_man_ms".into(), Value::Integer(60 + chance.below(300) as i64));
+    }
+    if chance.one_in(4) {
+        values.insert(
+            "bus.host_silence_ms".into(),
+            Value::Integer(200 + chance.below(2_000) as i64),
+        );
+    }
+    if chance.one_in(5) {
+        for axis in 0..axes {
+            values.insert(format!("axes.{axis}.mode"), Value::String("torque".into()));
+            values.insert(
+                format!("axes.{axis}.feedback_gain_per_s"),
+                Value::Float(TORQUE_GAIN_PER_S),
+            );
+        }
+    }
+    values
+}
+
+/// Feedback gain with which drives in torque mode follow well, 1/s.
+const TORQUE_GAIN_PER_S: f64 = 40.0;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_episode_has_a_valid_configuration_and_drawings() {
+        for seed in 0..500 {
+            let episode = episode(seed, Profile::All);
+            let config = episode
+                .configuration()
+                .unwrap_or_else(|cause| panic!("seed {seed}: {cause}"));
+            for figure in &episode.figures {
+                let path = figure.path(&config);
+                assert!(path.len() >= 4, "seed {seed}");
+                let repeats = path.windows(2).any(|pair| pair[0].position_um == pair[1].position_um);
+                assert!(!repeats, "seed {seed}: a vertex repeats the one before it");
+            }
+        }
+    }
+
+    #[test]
+    fn a_profile_keeps_to_its_faults() {
+        for seed in 0..300 {
+            assert!(episode(seed, Profile::Quiet).events.is_empty());
+            for event in episode(seed, Profile::Link).events {
+                assert!(matches!(
+                    event.what,
+                    What::Reconnect | What::Unplug(_) | What::Noise(..)
+                ));
+            }
+        }
+    }
+
+    #[test]
+    fn every_kind_of_event_and_wish_occurs() {
+        let mut seen = std::collections::BTreeSet::new();
+        for seed in 0..400 {
+            let episode = episode(seed, Profile::All);
+            for event in &episode.events {
+                let words = match &event.what {
+                    What::Fault(words) | What::Frames(words, _) => {
+                        words.split(' ').next().unwrap_or_default().to_owned()
+                    }
+                    other => format!("{other:?}")
+                        .split(['(', ' '])
+                        .next()
+                        .unwrap_or_default()
+                        .to_owned(),
+                };
+                seen.insert(words);
+            }
+            seen.extend(episode.wishes.iter().map(|wish| {
+                format!("wish {wish:?}")
+                    .split('(')
+                    .next()
+                    .unwrap_or_default()
+                    .to_owned()
+            }));
+        }
+        assert!(seen.len() >= 50, "{} kinds: {seen:?}", seen.len());
+    }
+}

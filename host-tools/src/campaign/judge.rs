@@ -1,0 +1,451 @@
+//! Tells the monitor what happens: translates messages, states and faults into its words.
+//!
+//! Nothing is judged here. Commands are taken from the bytes that reached the board, after the line's noise.
+
+use super::world::Frame;
+use super::{Rule, robot};
+use crate::cell::{Fault, PEN_SPRING_MM, ResolverFault, Truth};
+use etherpen::application::Mode;
+use etherpen::config::{AxisMode, Config, Transport};
+use etherpen::link::frame::{Decoder, decode};
+use etherpen::messages::{Command, HostMessage, PathVertex, Status};
+use etherpen::motion::Pen;
+use etherpen::robots::AXES;
+use etherpen_monitor as monitor;
+use monitor::{Count, Input, Joint, Moment, Monitor, Report, WireFrame};
+
+/// Most frames of a millisecond that are judged.
+const FRAMES_MAX: usize = 16;
+/// How far the tool may be from its setpoint in velocity and in torque mode, mm.
+const FOLLOWING_MM: f64 = 0.3;
+const FOLLOWING_BY_TORQUE_MM: f64 = 1.0;
+/// By which part of its speed the tool may exceed it in velocity and in torque mode.
+const OVERSHOOT: f64 = 0.05;
+const OVERSHOOT_BY_TORQUE: f64 = 0.15;
+/// How long a joint may creep after a motion in velocity and in torque mode, ms.
+const CREEP_MS: u32 = 100;
+const CREEP_BY_TORQUE_MS: u32 = 250;
+/// Part of the ink that may be missing in torque mode, where the pen's spring does not always reach the paper.
+const INK_MISSING_BY_TORQUE: f64 = 0.01;
+
+/// Length of a gap that this leaves in a line, mm.
+const INK_MISSING_BY_TORQUE_MM: f64 = 1.0;
+
+/// The monitor, and what it has to be told in this millisecond.
+pub(super) struct Judge {
+    monitor: Monitor,
+    inputs: Vec<Input>,
+    reports: Vec<Report>,
+    decoder: Box<Decoder>,
+    last_command: Option<u16>,
+    stop_open: bool,
+    /// Ends of faults that end by themselves: when, ms, and what is true then.
+    ends: Vec<(u64, Input)>,
+    /// Disturbances of the machine, and of each axis's feedback, that have not ended.
+    disturbances: u32,
+    untrue: [u32; AXES],
+    axes: usize,
+    configured: bool,
+    /// The drawing that the operator orders, until its order reaches the board.
+    ordered: Option<(u16, Vec<Input>)>,
+    finished: Option<u16>,
+}
+
+impl Judge {
+    pub(super) fn new(config: &Config) -> Self {
+        Self {
+            monitor: Monitor::new(cell(config)),
+            inputs: Vec::new(),
+            reports: Vec::new(),
+            decoder: Box::default(),
+            last_command: None,
+            stop_open: false,
+            ends: Vec::new(),
+            disturbances: 0,
+            untrue: [0; AXES],
+            axes: config.axes.len(),
+            configured: false,
+            ordered: None,
+            finished: None,
+        }
+    }
+
+    /// A new connection numbers its commands from the beginning.
+    pub(super) fn reconnected(&mut self) {
+        self.last_command = None;
+    }
+
+    /// Takes bytes that reached the board.
+    pub(super) fn delivered(&mut self, bytes: &[u8]) {
+        for byte in bytes {
+            let Some(Ok(payload)) = self.decoder.push(*byte) else {
+                continue;
+            };
+            match decode::<HostMessage>(payload) {
+                // A repeated request is carried out once.
+                Ok(HostMessage::Command { id, command }) if self.last_command != Some(id) => {
+                    self.last_command = Some(id);
+                    self.inputs.push(Input::Commanded(command_of(&command)));
+                    self.begin(&command);
+                }
+                Ok(HostMessage::Configure { .. }) if !self.configured => {
+                    self.configured = true;
+                    self.inputs.push(Input::Configured);
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// The operator orders a drawing.
+    pub(super) fn orders(&mut self, job: u16, path: &[PathVertex]) {
+        let inputs = (0..).zip(path).map(|(index, vertex)| Input::PathVertex {
+            job,
+            index,
+            position_mm: vertex.position_um.map(|um| f64::from(um) / 1e3),
+            pen_down: vertex.pen == Pen::Down,
+        });
+        (self.ordered, self.finished) = (Some((job, inputs.collect())), None);
+    }
+
+    /// The path of a drawing follows its order.
+    fn begin(&mut self, command: &Command) {
+        if let Command::Draw { job } = *command
+            && let Some((_, path)) = self.ordered.take_if(|(ordered, _)| *ordered == job)
+        {
+            self.inputs.extend(path);
+        }
+    }
+
+    pub(super) fn answered(&mut self, command: &Command, accepted: bool) {
+        let command = command_of(command);
+        self.reports.push(match accepted {
+            true => Report::Accepted(command),
+            false => Report::Refused(command),
+        });
+    }
+
+    pub(super) fn refused_vertex(&mut self, job: u16, index: u32) {
+        self.reports.push(Report::VertexRefused { job, index });
+    }
+
+    /// A drawing is reported as executed to its end.
+    pub(super) fn drawn(&mut self, job: u16) {
+        if self.finished.replace(job) != Some(job) {
+            self.reports.push(Report::Finished { job });
+        }
+    }
+
+    /// A status has arrived.
+    pub(super) fn reported(&mut self, status: &Status) {
+        self.reports.push(Report::Mode(mode_of(status.mode)));
+        self.reports
+            .push(Report::Fault(status.fault.map(|fault| format!("{fault:?}"))));
+        self.reports.push(Report::Homed(status.referenced));
+        let counters = &status.counters;
+        let counts = [
+            ("cycles", counters.cycles),
+            ("frames_lost", counters.frames_lost),
+            ("working_counter_errors", counters.working_counter_errors),
+            ("frames_ignored", counters.frames_ignored),
+            ("cycles_late", counters.cycles_late),
+            ("link_errors", counters.link_errors),
+        ];
+        let counts = counts.map(|(name, count)| Count {
+            name,
+            count: count.into(),
+        });
+        self.reports.push(Report::Counters(counts.to_vec()));
+    }
+
+    /// A fault of the segment begins; a fault of frames hits `count` of them.
+    pub(super) fn injected(&mut self, fault: Fault, count: u32, now_ms: u32) {
+        match fault {
+            Fault::Resolver(slave, _, 0) => self.true_again(slave),
+            Fault::Resolver(slave, kind, lasts_ms) => {
+                // What a slipping or reversed resolver has lost stays lost until it is put right.
+                let ends = matches!(kind, ResolverFault::Stuck | ResolverFault::Noise(_));
+                self.untrue(now_ms, slave, ends.then_some(lasts_ms));
+            }
+            Fault::Jump(slave, _) => self.untrue(now_ms, slave, None),
+            Fault::Exchange(one, other, lasts_ms) => {
+                for slave in [one, other] {
+                    self.untrue(now_ms, slave, Some(lasts_ms));
+                }
+            }
+            Fault::Processor(slave, lasts_ms) => {
+                let deaf = |deaf| Input::Drive { axis: slave - 1, deaf };
+                self.inputs.push(deaf(true));
+                self.ends_after(now_ms, lasts_ms, deaf(false));
+                self.disturbed(now_ms, Some(lasts_ms));
+            }
+            Fault::Join | Fault::Insert(_) => {}
+            // What is cut, removed or exchanged stays so.
+            Fault::Cut(_) | Fault::Remove(_) | Fault::Swap(..) | Fault::Sii(..) | Fault::Refuse(..) => {
+                self.disturbed(now_ms, None);
+            }
+            Fault::Stall(lasts_ms)
+            | Fault::Power(_, lasts_ms)
+            | Fault::Silence(_, lasts_ms)
+            | Fault::Mains(_, lasts_ms) => self.disturbed(now_ms, Some(lasts_ms)),
+            Fault::Crc(_, frames) => self.disturbed(now_ms, Some(frames)),
+            // At least one frame travels in a millisecond.
+            _ => self.disturbed(now_ms, Some(count.into())),
+        }
+    }
+
+    /// An axis's feedback is not true for some milliseconds, or until it is put right.
+    fn untrue(&mut self, now_ms: u32, slave: usize, lasts_ms: Option<u64>) {
+        let axis = slave - 1;
+        let Some(untrue) = self.untrue.get_mut(axis) else {
+            return;
+        };
+        *untrue += 1;
+        self.inputs.push(Input::Feedback { axis, disturbed: true });
+        if let Some(lasts_ms) = lasts_ms {
+            self.ends_after(now_ms, lasts_ms, Input::Feedback { axis, disturbed: false });
+        }
+    }
+
+    /// An axis's feedback has been put right.
+    fn true_again(&mut self, slave: usize) {
+        let axis = slave - 1;
+        let Some(untrue) = self.untrue.get_mut(axis) else {
+            return;
+        };
+        *untrue = 0;
+        self.ends
+            .retain(|(_, end)| !matches!(end, Input::Feedback { axis: other, .. } if *other == axis));
+        self.inputs.push(Input::Feedback { axis, disturbed: false });
+    }
+
+    /// The machine is disturbed for some milliseconds, or until it is healed.
+    pub(super) fn disturbed(&mut self, now_ms: u32, lasts_ms: Option<u64>) {
+        self.disturbances += 1;
+        self.inputs.push(Input::Machine { disturbed: true });
+        if let Some(lasts_ms) = lasts_ms {
+            self.ends_after(now_ms, lasts_ms, Input::Machine { disturbed: false });
+        }
+    }
+
+    fn ends_after(&mut self, now_ms: u32, lasts_ms: u64, end: Input) {
+        self.ends.push((u64::from(now_ms).saturating_add(lasts_ms) + 1, end));
+    }
+
+    /// All faults have been ended.
+    pub(super) fn healed(&mut self) {
+        self.ends.clear();
+        (self.disturbances, self.untrue) = (0, [0; AXES]);
+        for axis in 0..self.axes {
+            self.inputs.push(Input::Feedback { axis, disturbed: false });
+            self.inputs.push(Input::Drive { axis, deaf: false });
+        }
+        self.inputs.push(Input::Machine { disturbed: false });
+        self.inputs.push(Input::Link { cut: false });
+    }
+
+    /// The line between operator and board carries nothing until a time, ms.
+    pub(super) fn unplugged(&mut self, until_ms: u32) {
+        self.inputs.push(Input::Link { cut: true });
+        self.ends.push((until_ms.into(), Input::Link { cut: false }));
+    }
+
+    /// Tells the ends that have come. What is disturbed several times is sound again when the last of them has ended.
+    fn end_disturbances(&mut self, now_ms: u64) {
+        let (inputs, disturbances, untrue) = (&mut self.inputs, &mut self.disturbances, &mut self.untrue);
+        self.ends.retain(|(ends_ms, end)| {
+            let over = *ends_ms <= now_ms;
+            if !over {
+                return true;
+            }
+            let left = match *end {
+                Input::Machine { .. } => Some(&mut *disturbances),
+                Input::Feedback { axis, .. } => untrue.get_mut(axis),
+                _ => None,
+            };
+            let is_last = left.is_none_or(|left| {
+                *left = left.saturating_sub(1);
+                *left == 0
+            });
+            inputs.extend(is_last.then_some(*end));
+            false
+        });
+    }
+
+    /// Judges a millisecond.
+    pub(super) fn moment(
+        &mut self,
+        ms: u32,
+        truth: &Truth,
+        frames: &[Frame],
+        stop_open: bool,
+    ) -> Result<(), (Rule, String)> {
+        let now_ms = u64::from(ms);
+        self.end_disturbances(now_ms);
+        let inputs = &mut self.inputs;
+        if std::mem::replace(&mut self.stop_open, stop_open) != stop_open {
+            inputs.push(Input::StopInput(stop_open));
+        }
+        let joints: [Joint; AXES] = std::array::from_fn(|axis| Joint {
+            angle_rad: truth.angles_rad[axis],
+            speed_rad_s: truth.speeds_rad_s[axis],
+            has_power: truth.has_power[axis],
+        });
+        let wire: heapless::Vec<WireFrame<'_>, FRAMES_MAX> = frames
+            .iter()
+            .take(FRAMES_MAX)
+            .map(|frame| WireFrame {
+                from_master: frame.from_master,
+                bytes: &frame.bytes,
+                time_ns: frame.time_ns,
+            })
+            .collect();
+        let verdict = self.monitor.step(&Moment {
+            time_ms: now_ms,
+            joints: &joints,
+            pen_touches: truth.pen_touches,
+            inputs: &self.inputs,
+            reports: &self.reports,
+            wire: &wire,
+        });
+        self.inputs.clear();
+        self.reports.clear();
+        verdict.map_err(|violation| (Rule::Monitor(violation.rule), violation.text))
+    }
+
+    /// Judges what can only be judged at the end.
+    pub(super) fn end(&mut self) -> Result<(), (Rule, String)> {
+        let verdict = self.monitor.end();
+        verdict.map_err(|violation| (Rule::Monitor(violation.rule), violation.text))
+    }
+}
+
+fn command_of(command: &Command) -> monitor::Command {
+    use monitor::Command as Told;
+    match *command {
+        Command::Home => Told::Home,
+        Command::HomeAt { pose, .. } => Told::HomeAt { pose_rad: pose.0 },
+        Command::Enable => Told::Enable,
+        Command::Disable => Told::Disable,
+        Command::Jog { velocity_mm_s } => Told::Jog {
+            velocity_mm_s: velocity_mm_s.map(f64::from),
+        },
+        Command::Move { position } => Told::Move {
+            position_mm: [position.x_mm, position.y_mm, position.z_mm],
+        },
+        Command::Draw { job } => Told::Draw { job },
+        Command::Hold => Told::Hold,
+        Command::Resume => Told::Resume,
+        Command::Cancel => Told::Cancel,
+        Command::Override { percent } => Told::Override { percent },
+        Command::Pen { pen } => Told::Pen { down: pen == Pen::Down },
+        Command::Stop => Told::Stop,
+        Command::Acknowledge => Told::Acknowledge,
+    }
+}
+
+fn mode_of(mode: Mode) -> monitor::Mode {
+    use monitor::Mode as Told;
+    match mode {
+        Mode::Startup => Told::Startup,
+        Mode::BusConfiguring => Told::BusConfiguring,
+        Mode::DrivesOff => Told::DrivesOff,
+        Mode::Unreferenced => Told::Unreferenced,
+        Mode::Idle => Told::Idle,
+        Mode::Moving => Told::Moving,
+        Mode::Drawing => Told::Drawing,
+        Mode::Holding => Told::Holding,
+        Mode::Stopping => Told::Stopping,
+        Mode::Fault => Told::Fault,
+    }
+}
+
+fn by_torque(config: &Config) -> bool {
+    config.axes.iter().any(|axis| axis.mode == AxisMode::Torque)
+}
+
+/// How far the tool may be from its setpoint, mm.
+fn following_mm(config: &Config) -> f64 {
+    if by_torque(config) {
+        FOLLOWING_BY_TORQUE_MM
+    } else {
+        FOLLOWING_MM
+    }
+}
+
+/// How far the ink of the test drawing may be from its line, mm. In torque mode the pen may leave the paper for a
+/// moment, and the ink ends there.
+pub(super) fn ink_limit_mm(config: &Config) -> f64 {
+    let missing_mm = if by_torque(config) {
+        INK_MISSING_BY_TORQUE_MM
+    } else {
+        0.0
+    };
+    config.motion.tolerance_mm + following_mm(config) + missing_mm
+}
+
+/// The configuration in the monitor's numbers.
+fn cell(config: &Config) -> monitor::Cell {
+    let (motion, paper) = (&config.motion, &config.paper);
+    let ranges_rad = robot::ranges_rad(&config.geometry);
+    let joints = config
+        .axes
+        .iter()
+        .enumerate()
+        .map(|(axis, settings)| monitor::JointLimits {
+            range_rad: ranges_rad[axis],
+            speed_rad_s: motion.joint_speed_rad_s[axis],
+            acceleration_rad_s2: motion.joint_acceleration_rad_s2[axis],
+            quick_stop_rad_s2: settings.quick_stop_rad_s2,
+            brake_rad_s2: crate::cell::BRAKE_RAD_S2,
+            feedback_gain_per_s: settings.feedback_gain_per_s,
+            following_error_max_rad: settings.following_error_max_rad,
+            output_max_rad_s: settings.output_max_rad_s,
+            mark_rad: settings.sync_angle_rad,
+            turn_rad: core::f64::consts::TAU / settings.gear.abs(),
+        });
+    monitor::Cell {
+        robot: robot::robot(&config.geometry),
+        joints: joints.collect(),
+        work_area: monitor::WorkArea {
+            centre_mm: [0.0; 2],
+            radius_mm: config.work_area.radius_mm,
+            z_low_mm: config.work_area.z_low_mm,
+            z_high_mm: config.work_area.z_high_mm,
+        },
+        paper: monitor::Paper {
+            centre_mm: paper.centre_mm,
+            size_mm: paper.size_mm,
+            pen_down_z_mm: paper.pen_down_z_mm,
+            pen_lift_mm: paper.pen_lift_mm,
+            pressing_depth_mm: paper.pressing_depth_mm,
+            pen_spring_mm: PEN_SPRING_MM,
+        },
+        tool_speed_mm_s: motion.speed_mm_s,
+        travel_speed_mm_s: motion.travel_speed_mm_s,
+        tool_acceleration_mm_s2: motion.acceleration_mm_s2,
+        pen_speed_mm_s: motion.pen_speed_mm_s,
+        pen_acceleration_mm_s2: motion.pen_acceleration_mm_s2,
+        pen_dwell_ms: motion.pen_dwell_ms.into(),
+        tolerance_mm: motion.tolerance_mm,
+        travel_tolerance_mm: motion.travel_tolerance_mm,
+        dead_man_ms: config.bus.dead_man_ms.into(),
+        blind_ms: config.bus.blind_max_ms.into(),
+        watchdog_ms: config.bus.watchdog_ms.into(),
+        host_silence_ms: config.bus.host_silence_ms.into(),
+        following_mm: following_mm(config),
+        creep_ms: if by_torque(config) {
+            CREEP_BY_TORQUE_MS
+        } else {
+            CREEP_MS
+        },
+        overshoot_part: if by_torque(config) {
+            OVERSHOOT_BY_TORQUE
+        } else {
+            OVERSHOOT
+        },
+        ink_missing_part: if by_torque(config) { INK_MISSING_BY_TORQUE } else { 0.0 },
+        raw_wire: config.bus.transport == Transport::Raw,
+        ..monitor::Cell::default()
+    }
+}

@@ -1,0 +1,211 @@
+//! Campaigns: seeded episodes of the whole cell in virtual time, judged by an independent monitor.
+//!
+//! ```text
+//! seed, profile --generate--> Episode --run--> Option<Failure> --shrink--> smaller Episode --> test-case file
+//!                                |
+//!         simulation::run(World: cell and wire, Operator: line, decisions, events, healing; Judge: the monitor)
+//! ```
+//!
+//! An episode powers the machine up and gives it an operator with wishes; meanwhile faults and commands come at times
+//! that nobody chose. Then everything is healed, and the machine has to come back and draw. The monitor
+//! ([`etherpen_monitor`]) looks at the motors, the pen and the wire in every millisecond.
+//!
+//! Invariant: equal episodes give equal results, on every computer.
+
+pub mod episode;
+pub mod generate;
+mod ink;
+mod judge;
+mod line;
+mod operator;
+mod robot;
+mod shrink;
+mod trouble;
+mod world;
+
+use crate::cell::{Cell, CellOptions};
+use crate::simulation;
+use episode::Episode;
+use generate::Profile;
+use operator::Operator;
+use serde::Serialize;
+pub use shrink::shrink;
+use std::fmt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Mutex;
+use std::sync::PoisonError;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use world::World;
+
+/// What was broken.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rule {
+    /// A rule of the monitor.
+    Monitor(etherpen_monitor::Rule),
+    /// Healed, the machine does not come back or does not draw.
+    Liveness,
+    /// The ink is not the drawing that was reported as drawn.
+    Ink,
+    /// The power stays on although it was switched off.
+    Power,
+    /// The firmware or the cell panicked.
+    Panic,
+    /// The episode cannot be run.
+    Episode,
+}
+
+impl fmt::Display for Rule {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Monitor(rule) => write!(f, "{rule:?}"),
+            other => write!(f, "{other:?}"),
+        }
+    }
+}
+
+/// What an episode has found.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Failure {
+    /// Milliseconds since power-up.
+    pub time_ms: u32,
+    /// The rule that was broken.
+    pub rule: Rule,
+    /// What was seen.
+    pub text: String,
+}
+
+impl fmt::Display for Failure {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{} at {} ms: {}", self.rule, self.time_ms, self.text)
+    }
+}
+
+/// Longest time of an episode, ms; the operator ends each one much earlier.
+const LIMIT_MS: u32 = 1_200_000;
+
+/// An episode that was run.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Run {
+    /// What was found.
+    pub failure: Option<Failure>,
+    /// Virtual time, ms.
+    pub passed_ms: u32,
+}
+
+/// Runs an episode.
+#[must_use]
+pub fn run(episode: &Episode) -> Run {
+    let failed = |rule, text| Run {
+        failure: Some(Failure { time_ms: 0, rule, text }),
+        passed_ms: 0,
+    };
+    let config = match episode.configuration() {
+        Ok(config) => config,
+        Err(text) => return failed(Rule::Episode, text),
+    };
+    let options = CellOptions {
+        seed: episode.seed,
+        ..CellOptions::default()
+    };
+    let outcome = catch_unwind(AssertUnwindSafe(|| {
+        let mut world = World::new(Cell::new(&config, options));
+        let mut operator = Operator::new(episode, config, world.clone());
+        let passed_ms = simulation::run(&mut world, &mut operator, LIMIT_MS);
+        Run {
+            failure: operator.into_failure(),
+            passed_ms,
+        }
+    }));
+    outcome.unwrap_or_else(|cause| {
+        let text = cause.downcast_ref::<String>().cloned();
+        let text = text.or_else(|| cause.downcast_ref::<&str>().map(|text| (*text).to_owned()));
+        failed(Rule::Panic, text.unwrap_or_else(|| "a panic without words".to_owned()))
+    })
+}
+
+/// What a campaign has to do.
+#[derive(Clone, Copy, Debug)]
+pub struct Plan {
+    /// First seed.
+    pub first: u64,
+    /// Seed behind the last one.
+    pub end: u64,
+    /// Which faults there are.
+    pub profile: Profile,
+    /// Virtual time after which no further episode begins, ms; `None` for all seeds.
+    pub limit_ms: Option<u64>,
+    /// Episodes run at the same time.
+    pub jobs: usize,
+}
+
+/// A seed that failed.
+#[derive(Clone, Debug)]
+pub struct Failed {
+    /// The seed.
+    pub seed: u64,
+    /// What was found.
+    pub failure: Failure,
+}
+
+/// Result of a campaign.
+#[derive(Clone, Debug, Default)]
+pub struct Summary {
+    /// Episodes run.
+    pub episodes: u64,
+    /// Virtual time of all episodes, ms.
+    pub virtual_ms: u64,
+    /// Seeds that failed, in their order.
+    pub failed: Vec<Failed>,
+}
+
+/// State of a campaign, for display.
+#[derive(Clone, Copy, Debug, Serialize)]
+pub struct Progress {
+    /// Episodes that have ended.
+    pub episodes: u64,
+    /// Virtual time of these, ms.
+    pub virtual_ms: u64,
+    /// Seeds that failed.
+    pub failed: usize,
+}
+
+/// Runs episodes in parallel until all seeds are done, the time is over or `ended` is set; `report` gets each seed that
+/// fails, and the progress after each episode.
+pub fn campaign(plan: &Plan, ended: &AtomicBool, report: &(dyn Fn(Option<&Failed>, Progress) + Sync)) -> Summary {
+    let next = AtomicU64::new(plan.first);
+    let summary = Mutex::new(Summary::default());
+    let lock = || summary.lock().unwrap_or_else(PoisonError::into_inner);
+    let work = || {
+        while !ended.load(Ordering::Relaxed) {
+            let seed = next.fetch_add(1, Ordering::Relaxed);
+            let over = plan.limit_ms.is_some_and(|limit_ms| lock().virtual_ms >= limit_ms);
+            if seed >= plan.end || over {
+                return;
+            }
+            let run = run(&generate::episode(seed, plan.profile));
+            let failed = run.failure.map(|failure| Failed { seed, failure });
+            let mut summary = lock();
+            summary.episodes += 1;
+            summary.virtual_ms += u64::from(run.passed_ms);
+            summary.failed.extend(failed.clone());
+            let progress = Progress {
+                episodes: summary.episodes,
+                virtual_ms: summary.virtual_ms,
+                failed: summary.failed.len(),
+            };
+            drop(summary);
+            report(failed.as_ref(), progress);
+        }
+    };
+    std::thread::scope(|scope| {
+        for _ in 0..plan.jobs.max(1) {
+            scope.spawn(work);
+        }
+    });
+    let mut summary = summary.into_inner().unwrap_or_else(PoisonError::into_inner);
+    summary.failed.sort_by_key(|failed| failed.seed);
+    summary
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,113 @@
+//! Campaigns that find nothing, and ones that must find something.
+
+use super::episode::{Event, Figure, What, Wish};
+use super::generate::{Profile, episode};
+use super::*;
+use std::collections::BTreeMap;
+
+/// Seeds of each profile that every test run tries.
+const SEEDS: std::ops::Range<u64> = 0..6;
+/// Least speed of an episode, as a part of the speed of a drawing without operator and monitor.
+const SPEED_MIN: f64 = 0.7;
+
+#[test]
+fn the_first_seeds_of_every_profile_find_nothing() {
+    use clap::ValueEnum;
+    for profile in Profile::value_variants() {
+        let plan = Plan {
+            first: SEEDS.start,
+            end: SEEDS.end,
+            profile: *profile,
+            limit_ms: None,
+            jobs: 2,
+        };
+        let summary = campaign(&plan, &AtomicBool::new(false), &|_, _| {});
+        println!("{profile:?}: {} ms of robot time", summary.virtual_ms);
+        assert_eq!(summary.episodes, SEEDS.end - SEEDS.start);
+        let failed: Vec<String> = summary
+            .failed
+            .iter()
+            .map(|failed| format!("{}: {}", failed.seed, failed.failure))
+            .collect();
+        assert!(failed.is_empty(), "{profile:?}: {failed:#?}");
+    }
+}
+
+#[test]
+fn an_episode_repeats_exactly() {
+    let whole = episode(3, Profile::All);
+    assert_eq!(run(&whole), run(&whole));
+}
+
+/// An episode in which the drives get nothing but zeros: it can never draw.
+fn hopeless() -> Episode {
+    let mut whole = episode(5, Profile::All);
+    for axis in 0..4 {
+        for gain in ["feedback_gain_per_s", "feed_forward_gain"] {
+            whole
+                .config
+                .insert(format!("axes.{axis}.{gain}"), toml::Value::Float(0.0));
+        }
+    }
+    whole
+}
+
+#[test]
+fn a_machine_that_cannot_draw_is_found_and_its_episode_becomes_small() {
+    let whole = hopeless();
+    let mut tries = 0;
+    let (small, failure) = shrink(&whole, &mut |count| tries = count).expect("it fails");
+    println!("{tries} tries; {failure}\n{}", small.to_text());
+    assert_eq!(run(&small).failure, Some(failure), "the small episode fails as stated");
+    assert!(small.events.is_empty() && small.wishes.is_empty(), "{small:?}");
+    assert!(small.config.len() < whole.config.len(), "{:?}", small.config);
+}
+
+/// The result of `work`, and the processor time that this thread has used for it, s.
+fn timed<R>(work: impl FnOnce() -> R) -> (R, f64) {
+    use rustix::time::{ClockId, clock_gettime};
+    let now_s = || {
+        let time = clock_gettime(ClockId::ThreadCPUTime);
+        time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
+    };
+    let begun_s = now_s();
+    let result = work();
+    (result, now_s() - begun_s)
+}
+
+#[test]
+fn an_episode_is_nearly_as_fast_as_a_drawing_alone() {
+    let stroke = (0..400).map(|leg: i32| [if leg % 2 == 0 { -40_000 } else { 40_000 }, 100 * leg - 20_000]);
+    let figure = Figure(vec![stroke.collect()]);
+    let config = etherpen::config::Config::default();
+    let task = crate::run::RunTask {
+        path: figure.path(&config),
+        config,
+        cell: CellOptions::default(),
+    };
+    let (alone, alone_s) = timed(|| crate::run::simulate(&task, None, &mut |_| {}).expect("nothing is captured"));
+    let virtual_s = alone.cost.expect("virtual time").virtual_s;
+    let drawing = Episode {
+        found: String::new(),
+        seed: 1,
+        duration_ms: 60_000,
+        patience_ms: 10,
+        draws: false,
+        wishes: vec![Wish::Draw(0)],
+        figures: vec![figure],
+        config: BTreeMap::new(),
+        events: vec![Event {
+            at_ms: 59_000,
+            what: What::Reconnect,
+        }],
+    };
+    let (run, run_s) = timed(|| run(&drawing));
+    let watched = f64::from(run.passed_ms) / 1e3 / run_s;
+    let ratio = watched / (virtual_s / alone_s);
+    println!(
+        "{watched:.0} times real time, {ratio:.2} of a drawing alone; {:?}",
+        run.failure
+    );
+    assert_eq!(run.failure, None);
+    assert!(ratio >= SPEED_MIN, "{ratio:.2}");
+}

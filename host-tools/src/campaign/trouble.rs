@@ -1,0 +1,104 @@
+//! Random faults, in the words of the segment's script.
+
+use super::generate::Chance;
+
+/// Longest duration of a fault that ends by itself, ms.
+const LASTS_MAX_MS: u32 = 1_500;
+/// AL status codes that slaves give with a fall or a refusal.
+const CODES: [u16; 5] = [0, 0x001A, 0x001B, 0x002C, 0xFFFF];
+
+/// A fault of a frame.
+pub(super) fn of_frames(chance: &mut Chance) -> String {
+    match chance.below(14) {
+        0 => "drop".into(),
+        1 => "lose".into(),
+        2 => format!("delay {}", 1 + chance.below(4)),
+        3 => "duplicate".into(),
+        4 => format!("truncate {}", chance.below(80)),
+        5 => format!("overlong {}", chance.below(60)),
+        6 => format!("index {}", 1 + chance.below(200)),
+        7 => format!("counter {}", chance.one_of(&[-2, -1, 1, 2, 200])),
+        8 => format!("type {}", chance.below(16)),
+        9 => "more".into(),
+        10 => "circulate".into(),
+        11 => "vlan".into(),
+        12 => "foreign".into(),
+        _ => "reflect".into(),
+    }
+}
+
+/// A fault of the chain or of a slave.
+pub(super) fn of_the_bus(chance: &mut Chance) -> String {
+    let slave = 1 + chance.below(4);
+    let lasts_ms = chance.milliseconds(LASTS_MAX_MS);
+    let code = chance.one_of(&CODES);
+    match chance.below(14) {
+        0 => format!("stall {lasts_ms}"),
+        1 => format!("cut {}", slave - 1),
+        2 => "join".into(),
+        3 => format!("crc {} {}", slave - 1, 1 + chance.below(100)),
+        4 => format!("remove {slave}"),
+        5 => format!("insert {slave}"),
+        6 => format!("swap {slave} {}", chance.one_of(&["ax2000", "cia402"])),
+        7 => format!("power {slave} {lasts_ms}"),
+        8 => format!("retreat {slave} {code}"),
+        9 => format!("fall {slave} {} {code}", chance.one_of(&["init", "preop", "safeop"])),
+        10 => format!("refuse {slave} {} {code}", chance.one_of(&["preop", "safeop", "op"])),
+        11 => format!("pdi {slave} {lasts_ms}"),
+        12 => format!(
+            "sii {slave} {}",
+            chance.one_of(&["busy", "refused", "blank", "damaged", "owned", "whole"])
+        ),
+        _ => of_a_mailbox(chance, slave, lasts_ms),
+    }
+}
+
+fn of_a_mailbox(chance: &mut Chance, slave: u64, lasts_ms: u32) -> String {
+    let request = 1 + chance.below(12);
+    match chance.below(6) {
+        0 => format!("silence {slave} {lasts_ms}"),
+        1 => format!("mailbox {slave} {request} abort 0x08000020"),
+        2 => format!("mailbox {slave} {request} silent"),
+        3 => format!("mailbox {slave} {request} lost"),
+        4 => format!("mailbox {slave} {request} counter"),
+        _ => format!("mailbox {slave} {request} flood 6"),
+    }
+}
+
+/// A fault of a drive or of its position feedback.
+pub(super) fn of_a_drive(chance: &mut Chance) -> String {
+    let slave = 1 + chance.below(4);
+    let lasts_ms = chance.milliseconds(LASTS_MAX_MS);
+    match chance.below(9) {
+        0 => format!("fault {slave} 0x2310"),
+        1 => format!("mains {slave} {lasts_ms}"),
+        2 | 3 => format!("stuck {slave} {lasts_ms}"),
+        4 => format!("slip {slave} {} {lasts_ms}", chance.below(100)),
+        5 => {
+            let increments = chance.scaled(1.0, 600_000.0) as i64;
+            format!("jump {slave} {}", increments * chance.one_of(&[-1, 1]))
+        }
+        6 => format!("reverse {slave} {lasts_ms}"),
+        7 => format!("noise {slave} {} {lasts_ms}", chance.scaled(1.0, 100_000.0) as u32),
+        _ => format!("exchange {slave} {} {lasts_ms}", slave % 4 + 1),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cell::Script;
+
+    #[test]
+    fn all_words_are_those_of_the_script() {
+        let mut chance = Chance::new(1);
+        for _ in 0..3_000 {
+            for words in [of_frames(&mut chance), of_the_bus(&mut chance), of_a_drive(&mut chance)] {
+                let script: Script = format!("ms 1 {words}")
+                    .parse()
+                    .unwrap_or_else(|cause| panic!("{words}: {cause}"));
+                script.check(4).unwrap_or_else(|cause| panic!("{words}: {cause}"));
+            }
+        }
+    }
+}

@@ -1,0 +1,96 @@
+//! What is true in an episode: the cell with its motors and ink, and every frame on the wire.
+
+use crate::cell::{Cell, Fault, Truth};
+use crate::emulator::Segment;
+use std::cell::RefCell;
+use std::rc::Rc;
+
+/// Frames kept for a millisecond; more than the controller sends and receives in one.
+const FRAMES_MAX: usize = 16;
+
+/// A frame on the wire.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Frame {
+    pub(super) from_master: bool,
+    pub(super) time_ns: u64,
+    pub(super) bytes: Vec<u8>,
+}
+
+/// Frames of a millisecond, in buffers that are used again.
+#[derive(Debug, Default)]
+pub(super) struct Wire {
+    frames: Vec<Frame>,
+    used: usize,
+}
+
+impl Wire {
+    fn keep(&mut self, from_master: bool, time_ns: u64, bytes: &[u8]) {
+        if self.used == self.frames.len() && self.used < FRAMES_MAX {
+            self.frames.push(Frame::default());
+        }
+        if let Some(frame) = self.frames.get_mut(self.used) {
+            (frame.from_master, frame.time_ns) = (from_master, time_ns);
+            frame.bytes.clear();
+            frame.bytes.extend_from_slice(bytes);
+            self.used += 1;
+        }
+    }
+
+    /// The frames since the last [`Self::clear`].
+    pub(super) fn frames(&self) -> &[Frame] {
+        self.frames.get(..self.used).unwrap_or_default()
+    }
+
+    pub(super) fn clear(&mut self) {
+        self.used = 0;
+    }
+}
+
+/// The cell and its wire, shared by the firmware's port and the operator.
+#[derive(Clone)]
+pub(super) struct World(Rc<RefCell<(Cell, Wire)>>);
+
+impl World {
+    pub(super) fn new(cell: Cell) -> Self {
+        Self(Rc::new(RefCell::new((cell, Wire::default()))))
+    }
+
+    /// Injects a fault now.
+    pub(super) fn inject(&self, fault: Fault) {
+        self.0.borrow_mut().0.inject(fault);
+    }
+
+    /// The motors and the pen.
+    pub(super) fn truth(&self) -> Truth {
+        self.0.borrow().0.truth()
+    }
+
+    /// Calls `look` with the cell and the frames of this millisecond, and forgets the frames.
+    pub(super) fn look<R>(&self, look: impl FnOnce(&Cell, &[Frame]) -> R) -> R {
+        let mut world = self.0.borrow_mut();
+        let (cell, wire) = &mut *world;
+        let result = look(cell, wire.frames());
+        wire.clear();
+        result
+    }
+}
+
+impl Segment for World {
+    fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        self.frame_at_ns(time_us.saturating_mul(1_000), frame)
+    }
+
+    fn frame_at_ns(&mut self, time_ns: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        let (cell, wire) = &mut *self.0.borrow_mut();
+        wire.keep(true, time_ns, frame);
+        let replies = cell.frame_at_ns(time_ns, frame);
+        for reply in &replies {
+            wire.keep(false, time_ns, reply);
+        }
+        replies
+    }
+
+    fn advance_to(&mut self, time_us: u64) {
+        self.0.borrow_mut().0.advance_to(time_us);
+    }
+}
