@@ -22,7 +22,7 @@ pub enum Mode {
     Drawing,
     /// A drawing is held on its path.
     Holding,
-    /// Decelerating to a standstill, before the drives lose power.
+    /// Decelerating to a standstill, after a cancel or before the drives lose power.
     Stopping,
     /// A fault is latched.
     Fault,

@@ -137,7 +137,7 @@ impl Image {
             return Err(ImageError::Format {
                 reason: format!(
                     "it is for another processor (ELF machine {}, an Arm has {})",
-                    machine.0, EM_ARM.0
+                    machine, EM_ARM
                 ),
             });
         }
@@ -148,7 +148,7 @@ impl Image {
             let data = section.data().map_err(format)?.to_vec();
             if section.elf_section_header().sh_type(endian) == SHT_ARM_ATTRIBUTES {
                 attributes = data;
-            } else if section.elf_section_header().sh_flags(endian).contains(SHF_ALLOC) {
+            } else if section.elf_section_header().sh_flags(endian) & SHF_ALLOC != 0 {
                 sections.push(Section {
                     name,
                     address: section.address() as u32,

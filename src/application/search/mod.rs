@@ -11,6 +11,7 @@
 
 extern crate std;
 
+mod graph;
 mod inputs;
 mod trajectory;
 mod world;
@@ -18,6 +19,7 @@ mod world;
 use std::boxed::Box;
 use std::collections::{HashMap, HashSet, VecDeque};
 use std::println;
+use std::sync::LazyLock;
 use std::vec::Vec;
 use world::{Move, State};
 
@@ -31,7 +33,11 @@ struct Found {
     states: Vec<State>,
     transitions: usize,
     modes: HashMap<std::string::String, usize>,
+    changes: graph::Changes,
 }
+
+/// One search serves all tests.
+static FOUND: LazyLock<Found> = LazyLock::new(search);
 
 /// Finds all states and checks all their transitions.
 fn search() -> Found {
@@ -40,6 +46,7 @@ fn search() -> Found {
         states: Vec::new(),
         transitions: 0,
         modes: HashMap::new(),
+        changes: graph::Changes::new(),
     };
     let first = State::new();
     seen.insert(first.key());
@@ -50,6 +57,11 @@ fn search() -> Found {
             after.make(step);
             after.check(&state, step);
             found.transitions += 1;
+            let (was, is) = (&state.application, &after.application);
+            if was.mode != is.mode {
+                let events = found.changes.entry((was.mode.number(), is.mode.number())).or_default();
+                events.insert(graph::Event::of(was, step, is));
+            }
             if seen.insert(after.key()) {
                 open.push_back(after);
             }
@@ -93,7 +105,7 @@ fn way_to_idle(from: &State, known: &mut HashMap<world::Key, (u32, u32)>) -> Res
 
 #[test]
 fn every_state_leads_back_to_idle_and_no_refused_command_has_an_effect() {
-    let found = search();
+    let found = &*FOUND;
     println!("{} states, {} transitions", found.states.len(), found.transitions);
     println!("{:?}", found.modes);
     assert_eq!(found.modes.len(), 10, "every mode is reached");

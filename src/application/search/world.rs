@@ -420,6 +420,22 @@ impl State {
             "power: {}",
             told()
         );
+        // Power is taken only behind the brakes, and the brakes close only at standstill or when its time is over.
+        let had_power = matches!(old.power, Power::On | Power::QuickStop);
+        let is_behind_brakes = matches!(old.stop, Some(Stop::Brake { .. }));
+        assert!(
+            !self.actions.contains(&Action::Power(Power::Off)) || !had_power || is_behind_brakes,
+            "power taken from a robot without brakes: {}",
+            told()
+        );
+        let is_over = matches!(old.stop, Some(Stop::Ramp { since_ms })
+            if self.now_ms.wrapping_sub(since_ms) > STANDSTILL_MAX_MS);
+        let brakes = !is_behind_brakes && matches!(application.stop, Some(Stop::Brake { .. }));
+        assert!(
+            !brakes || self.condition.standstill || is_over,
+            "brakes in motion: {}",
+            told()
+        );
         let off = matches!(application.mode, Mode::Startup | Mode::BusConfiguring | Mode::Fault);
         assert!(
             !off || matches!(application.power, Power::Off | Power::FaultReset),
