@@ -124,11 +124,9 @@ mod tests {
     #[test]
     fn the_inverse_times_the_matrix_is_one() {
         let inverse = invert(MATRIX);
-        for i in 0..MAIN_AXES {
-            for j in 0..MAIN_AXES {
-                let product: f64 = (0..MAIN_AXES).map(|k| MATRIX[i][k] * inverse[k][j]).sum();
-                assert!((product - f64::from(u8::from(i == j))).abs() < 1e-12);
-            }
+        for (i, j) in (0..MAIN_AXES * MAIN_AXES).map(|place| (place / MAIN_AXES, place % MAIN_AXES)) {
+            let product: f64 = (0..MAIN_AXES).map(|k| MATRIX[i][k] * inverse[k][j]).sum();
+            assert!((product - f64::from(u8::from(i == j))).abs() < 1e-12);
         }
         assert_eq!(invert([[0.0; MAIN_AXES]; MAIN_AXES]), [[0.0; MAIN_AXES]; MAIN_AXES]);
     }

@@ -17,7 +17,7 @@ use etherpen_segment::{Load, Shaft};
 #[derive(Clone, Debug)]
 enum Motion {
     /// Smooth friction and no play, for drives that move their motors by themselves unless they are in torque mode.
-    Smooth(Dynamics),
+    Smooth(Box<Dynamics>),
     /// Dry friction that holds, and play.
     Coupled(Box<Coupled>),
 }
@@ -91,7 +91,7 @@ impl Motion {
             && friction.stiction_factor <= 1.0
             && backlash.gap_arcmin <= 0.0;
         if smooth {
-            return Self::Smooth(Dynamics::new(mechanism, friction));
+            return Self::Smooth(Box::new(Dynamics::new(mechanism, friction)));
         }
         let gap_rad = (backlash.gap_arcmin / 60.0).to_radians();
         let [a, b, c, ..] = joints.0;
