@@ -7,7 +7,7 @@
 use super::velocity_loop::Regulator;
 
 /// Length of a step, seconds.
-pub const STEP_S: f64 = 1e-3;
+pub use super::velocity_loop::STEP_S;
 
 /// Highest speed of the motor under any load, limited by its voltage.
 const SPEED_MAX_RAD_S: f64 = 700.0;

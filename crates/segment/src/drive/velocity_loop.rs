@@ -6,10 +6,11 @@
 //!
 //! Invariant: the torque is finite and within the drive's peak torque, whatever the options and speeds.
 
-use super::motor::STEP_S;
 use crate::oscillator::{Oscillator, within};
 use core::f64::consts::{FRAC_1_SQRT_2, TAU};
 
+/// Length of a step of a motor, s.
+pub const STEP_S: f64 = 1e-3;
 /// Steps of a PI velocity loop in a millisecond.
 pub const LOOP_STEPS: u32 = 8;
 /// Length of a step of a PI velocity loop, s.
