@@ -3,7 +3,7 @@
 //! The figures of each run are printed (`cargo test --test identification -- --nocapture`).
 
 use etherpen::config::Config;
-use host_tools::cell::CellOptions;
+use host_tools::cell::{CellOptions, Physics};
 use host_tools::drawing::preparation::prepare::prepare;
 use host_tools::identification::{apply, identify, test_config, test_path};
 use host_tools::report::Report;
@@ -20,8 +20,13 @@ const GAIN: f64 = 0.002;
 /// The lead that the cell's drives require, ms: the delays of both directions, half a millisecond for sampling, and the
 /// drive's lag 1 / (2 pi f), less the age of the measurement, which is compared with the setpoint of that age.
 fn true_lead_ms(cell: &CellOptions, measurement_age_ms: f64) -> f64 {
-    let delays = (cell.output_delay_cycles + cell.input_delay_cycles) as f64;
-    let lag_ms = 1_000.0 / (std::f64::consts::TAU * cell.drive_bandwidth_hz);
+    let Physics {
+        dead_time,
+        velocity_loop,
+        ..
+    } = cell.physics;
+    let delays = f64::from(dead_time.command_cycles + dead_time.position_cycles);
+    let lag_ms = 1_000.0 / (std::f64::consts::TAU * velocity_loop.bandwidth_hz);
     delays + 0.5 + lag_ms - measurement_age_ms
 }
 
@@ -52,13 +57,11 @@ fn drawn(config: &Config, cell: &CellOptions) -> Report {
 #[test]
 fn a_wrong_lead_and_a_wrong_gain_are_found_and_the_drawn_line_comes_closer() {
     let cells = [(100.0, 1, 1), (200.0, 1, 1), (50.0, 1, 1), (100.0, 1, 2), (100.0, 0, 0)];
-    for (drive_bandwidth_hz, input_delay_cycles, output_delay_cycles) in cells {
-        let cell = CellOptions {
-            drive_bandwidth_hz,
-            input_delay_cycles,
-            output_delay_cycles,
-            ..CellOptions::default()
-        };
+    for (bandwidth_hz, position_cycles, command_cycles) in cells {
+        let mut cell = CellOptions::default();
+        cell.physics.velocity_loop.bandwidth_hz = bandwidth_hz;
+        cell.physics.dead_time.position_cycles = position_cycles;
+        cell.physics.dead_time.command_cycles = command_cycles;
         let mut wrong = Config::default();
         let truth_ms = true_lead_ms(&cell, wrong.axes[0].measurement_age_ms);
         for axis in &mut wrong.axes {
@@ -69,7 +72,7 @@ fn a_wrong_lead_and_a_wrong_gain_are_found_and_the_drawn_line_comes_closer() {
         for axis in &found.axes {
             let (lead_ms, gain) = (axis.feed_forward_lead_ms, axis.feed_forward_gain);
             println!(
-                "{drive_bandwidth_hz} Hz, {input_delay_cycles}/{output_delay_cycles} cycles: lead {lead_ms:.4} ms of {truth_ms:.4}, Kff {gain:.5}, Kfb {:.1}",
+                "{bandwidth_hz} Hz, {position_cycles}/{command_cycles} cycles: lead {lead_ms:.4} ms of {truth_ms:.4}, Kff {gain:.5}, Kfb {:.1}",
                 axis.feedback_gain_per_s
             );
             assert!((lead_ms - truth_ms).abs() < LEAD_MS, "{lead_ms} ms of {truth_ms} ms");

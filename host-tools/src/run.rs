@@ -4,7 +4,7 @@
 //! tasks are executed. Neither depends on the wall clock.
 
 use crate::captured_cell::CapturedCell;
-use crate::cell::{Cell, CellOptions};
+use crate::cell::{Cell, CellOptions, Physics};
 use crate::drawing::preparation::prepare::Prepared;
 use crate::drawing::preparation::wire::to_wire;
 use crate::emulator::{self, Emulator, EmulatorError, LINK_BYTES_MAX, LogLine};
@@ -41,6 +41,13 @@ pub struct RunTask {
 }
 
 impl RunTask {
+    /// This task in a cell with these properties.
+    #[must_use]
+    pub fn in_cell(mut self, physics: Physics) -> Self {
+        self.cell.physics = physics;
+        self
+    }
+
     fn job(&self) -> Job {
         Job::draw(self.config.clone(), self.path.clone(), JobOptions::default())
     }

@@ -201,18 +201,16 @@ fn a_sound_robot_in_torque_mode_keeps_a_fifth_of_every_limit_free() {
     println!("of the limits of {COMPARISONS:?}, seeds {seeds:?}:");
     for speed_mm_s in SPEEDS_MM_S {
         for acceleration_mm_s2 in [Config::default().motion.acceleration_mm_s2, HARD_MM_S2] {
-            for (dry_friction_nm, resolver_noise_increments) in [(0.0, 0.0), (0.3, 0.0), (0.3, NOISE_INCREMENTS)] {
+            for (coulomb_nm, noise_increments) in [(0.0, 0.0), (0.3, 0.0), (0.3, NOISE_INCREMENTS)] {
                 let mut config = with(AxisMode::Torque, speed_mm_s);
                 config.motion.acceleration_mm_s2 = acceleration_mm_s2;
-                let options = CellOptions {
-                    dry_friction_nm,
-                    resolver_noise_increments,
-                    ..CellOptions::default()
-                };
+                let mut options = CellOptions::default();
+                options.physics.friction.coulomb_nm = coulomb_nm;
+                options.physics.resolver.noise_increments = noise_increments;
                 let used = drive_sound(&config, speed_mm_s, options, seeds.clone());
                 println!(
-                    "{speed_mm_s} mm/s, {acceleration_mm_s2} mm/s2, {dry_friction_nm} N m, \
-                     {resolver_noise_increments} increments: {used:.2?}"
+                    "{speed_mm_s} mm/s, {acceleration_mm_s2} mm/s2, {coulomb_nm} N m, \
+                     {noise_increments} increments: {used:.2?}"
                 );
                 most = std::array::from_fn(|comparison| most[comparison].max(used[comparison]));
             }

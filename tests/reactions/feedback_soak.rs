@@ -128,13 +128,12 @@ fn soak(mode: AxisMode) {
     let (mut left_ms, mut passed_ms) = ((hours * 3.6e6) as u64, 0);
     let mut most = Used::default();
     for seed in first.. {
-        let options = CellOptions {
-            resolver_noise_increments: NOISE_INCREMENTS,
-            friction_rad_s: 0.016,
-            dry_friction_nm: 0.3,
+        let mut options = CellOptions {
             seed,
             ..CellOptions::default()
         };
+        options.physics.resolver.noise_increments = NOISE_INCREMENTS;
+        options.physics.friction.lag_rad_s = 0.016;
         let (mut robot, mut chance) = (
             Robot::of(&with(mode, 1_000.0), options).enabled(),
             Chance(Random::new(seed)),

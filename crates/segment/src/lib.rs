@@ -4,8 +4,8 @@
 //!
 //! A module imports modules of lower layers only.
 //!
-//! 1. `bits`, `random`, `registers`, `capture`, `transport`, `application`: what every module may use; pcapng files;
-//!    networks; states of a slave
+//! 1. `bits`, `random`, `oscillator`, `registers`, `capture`, `transport`, `application`: what every module may use;
+//!    pcapng files; networks; states of a slave
 //! 2. `mailbox`, `rig`: messages, objects and mapped process data of a slave; hand-made frames
 //! 3. `eeprom`: the information memory
 //! 4. `controller`, `drive`: the slave controller; the servo drive with its motor
@@ -27,6 +27,7 @@ mod eeprom;
 mod faults;
 mod load;
 mod mailbox;
+mod oscillator;
 pub mod random;
 mod registers;
 pub mod rig;
@@ -38,10 +39,12 @@ pub use application::AlState;
 pub use controller::silicon::ClockWidth;
 pub use devices::ax2000::NAME as AX2000_NAME;
 pub use devices::kind::{SLAVES_MAX, SlaveKind, SlaveListError, parse_slaves};
-pub use drive::resolver::ResolverFault;
+pub use drive::resolver::{ResolverError, ResolverFault};
+pub use drive::velocity_loop::{LOOP_STEP_S, LOOP_STEPS, PiLoop, VelocityLoop};
 pub use drive::{DriveOptions, DriveState};
 pub use eeprom::SiiFault;
 pub use faults::kinds::{Fault, MailFault, MailStep, Product};
 pub use faults::{SCRIPT_HELP, Script, ScriptError, ScriptProblem};
 pub use load::{Flywheel, Load, STEP_S, Shaft};
+pub use oscillator::Oscillator;
 pub use segment::{CATCH_UP_MS_MAX, ClockOptions, MotorState, Segment, SegmentOptions, SlaveState};

@@ -2,9 +2,11 @@
 //!
 //! Every millisecond the drives move their motors according to their velocity loops and ramps, or only set a torque.
 //! Then the load gets the shafts: it moves those whose drive only sets a torque, and stops those that hit an end stop.
-//! Without a machine, use a [`Flywheel`] on each motor.
+//! A PI velocity loop also only sets a torque: the load advances it by [`Shaft::regulate`] in steps of [`LOOP_STEP_S`],
+//! [`LOOP_STEPS`] times a millisecond. Without a machine, use a [`Flywheel`] on each motor.
 
 use crate::drive::Drive;
+use crate::drive::velocity_loop::{LOOP_STEP_S, LOOP_STEPS};
 
 /// Length of a step, seconds.
 pub use crate::drive::motor::STEP_S;
@@ -12,7 +14,7 @@ pub use crate::drive::motor::STEP_S;
 /// A machine that the motors of a segment turn.
 pub trait Load {
     /// Advances by one millisecond; `time_ms` counts them from 1. The shafts are in the order of the chain, one for
-    /// each drive, already moved by the drives that are not in torque mode.
+    /// each drive, already moved by the drives that do not only set a torque.
     fn step(&mut self, time_ms: u64, shafts: &mut [Shaft<'_>]);
 }
 
@@ -53,7 +55,24 @@ impl<'a> Shaft<'a> {
     #[must_use]
     #[inline]
     pub fn torque_nm(&self) -> Option<f64> {
-        self.drive.is_in_torque_mode().then(|| self.drive.motor().torque_nm())
+        self.drive.is_moved_by_load().then(|| self.drive.true_torque_nm())
+    }
+
+    /// Whether the torque is that of a PI velocity loop, which [`Shaft::regulate`] advances.
+    #[must_use]
+    #[inline]
+    pub fn is_regulated(&self) -> bool {
+        self.drive.motor().is_regulated()
+    }
+
+    /// Advances a PI velocity loop, if it acts, by [`LOOP_STEP_S`] at the present speed.
+    pub fn regulate(&mut self) {
+        self.drive.regulate();
+    }
+
+    /// Turns the shaft at this speed, rad/s, for a duration.
+    pub fn turn(&mut self, rad_s: f64, duration_s: f64) {
+        self.drive.motor_mut().turn(rad_s, duration_s);
     }
 
     /// Moves the shaft with this acceleration, rad/s2, for a duration.
@@ -94,11 +113,24 @@ impl Default for Flywheel {
 impl Load for Flywheel {
     fn step(&mut self, _time_ms: u64, shafts: &mut [Shaft<'_>]) {
         for shaft in shafts {
-            let Some(torque_nm) = shaft.torque_nm() else { continue };
-            let speed_rad_s = shaft.speed_rad_s();
-            let dry_nm = self.dry_nm * (speed_rad_s / DRY_FRICTION_RAD_S).tanh();
-            let friction_nm = self.viscous_nm_s * speed_rad_s + dry_nm;
-            shaft.accelerate((torque_nm - friction_nm) / self.inertia_kg_m2, STEP_S);
+            if shaft.is_regulated() {
+                for _ in 0..LOOP_STEPS {
+                    shaft.regulate();
+                    self.turn(shaft, LOOP_STEP_S);
+                }
+            } else {
+                self.turn(shaft, STEP_S);
+            }
         }
+    }
+}
+
+impl Flywheel {
+    fn turn(&self, shaft: &mut Shaft<'_>, duration_s: f64) {
+        let Some(torque_nm) = shaft.torque_nm() else { return };
+        let speed_rad_s = shaft.speed_rad_s();
+        let dry_nm = self.dry_nm * (speed_rad_s / DRY_FRICTION_RAD_S).tanh();
+        let friction_nm = self.viscous_nm_s * speed_rad_s + dry_nm;
+        shaft.accelerate((torque_nm - friction_nm) / self.inertia_kg_m2, duration_s);
     }
 }

@@ -1,22 +1,21 @@
-//! Dynamics of the robot at its joints, for drives in torque mode.
+//! Dynamics of the robot at its joints, for drives in torque mode behind first-order velocity loops.
 //!
 //! The main axes are coupled by the mechanism, the others move alone; friction acts on every joint. A joint under a
-//! velocity loop follows its loop, and only its acceleration acts on the others. Inertias are plausible for an IRB 340,
-//! not measured.
+//! velocity loop follows its loop, and only its acceleration acts on the others. Dry friction is smooth: it vanishes with
+//! the speed. Inertias are plausible for an IRB 340, not measured.
 //!
 //! Invariant: joints that are not in torque mode are not moved here.
 
 use super::joint::Joint;
 use super::mechanism::{Equation, MainAxes, Mechanism, combine};
-use etherpen::config::Geometry;
+use super::physics::Friction;
 use etherpen::robots::MAIN_AXES;
 use etherpen_segment::STEP_S;
 
 /// Inertia of a motor's rotor, kg m2.
-const ROTOR_KG_M2: f64 = 2.0e-4;
+pub(super) const ROTOR_KG_M2: f64 = 2.0e-4;
 /// Inertia at the joint of the fourth axis and of drives without a load, kg m2.
-const ALONE_KG_M2: f64 = 0.05;
-const VISCOUS_NM_S: f64 = 0.05;
+pub(super) const ALONE_KG_M2: f64 = 0.05;
 /// Speed scale of dry friction, rad/s: it grows with tanh(speed / scale).
 const COULOMB_RAD_S: f64 = 0.02;
 const SUBSTEPS: u32 = 4;
@@ -25,15 +24,15 @@ const SUBSTEPS: u32 = 4;
 #[derive(Clone, Debug)]
 pub(super) struct Dynamics {
     mechanism: Mechanism,
-    dry_friction_nm: f64,
+    friction: Friction,
     speeds_before: MainAxes,
 }
 
 impl Dynamics {
-    pub(super) fn new(geometry: &Geometry, dry_friction_nm: f64) -> Self {
+    pub(super) fn new(mechanism: Mechanism, friction: Friction) -> Self {
         Self {
-            mechanism: Mechanism::new(geometry),
-            dry_friction_nm,
+            mechanism,
+            friction,
             speeds_before: [0.0; MAIN_AXES],
         }
     }
@@ -120,7 +119,7 @@ impl Dynamics {
     }
 
     pub(super) fn friction_nm(&self, speed_rad_s: f64) -> f64 {
-        VISCOUS_NM_S * speed_rad_s + self.dry_friction_nm * (speed_rad_s / COULOMB_RAD_S).tanh()
+        self.friction.viscous_nm_s * speed_rad_s + self.friction.coulomb_nm * (speed_rad_s / COULOMB_RAD_S).tanh()
     }
 }
 

@@ -13,10 +13,11 @@ pub(super) struct Gear {
 }
 
 impl Gear {
-    pub(super) fn new(axis: &Axis) -> Self {
+    /// The gear of an axis whose synchronisation angle is truly larger by `sync_rad`.
+    pub(super) fn new(axis: &Axis, sync_rad: f64) -> Self {
         Self {
             ratio: axis.gear,
-            mark_rad: axis.sync_angle_rad,
+            mark_rad: axis.sync_angle_rad + sync_rad,
         }
     }
 
@@ -58,7 +59,7 @@ impl<'a, 'b> Joint<'a, 'b> {
         self.gear.joint_rad_s(self.shaft.speed_rad_s())
     }
 
-    /// Torque of the motor at the joint, N m; `None` outside torque mode.
+    /// Torque of the motor at the joint, N m; `None` where the drive moves the motor by itself.
     pub(super) fn torque_nm(&self) -> Option<f64> {
         self.shaft.torque_nm().map(|torque_nm| torque_nm * self.gear.ratio)
     }
@@ -71,6 +72,16 @@ impl<'a, 'b> Joint<'a, 'b> {
     /// Moves the joint with this acceleration, rad/s2, for a duration.
     pub(super) fn accelerate(&mut self, rad_s2: f64, duration_s: f64) {
         self.shaft.accelerate(rad_s2 * self.gear.ratio, duration_s);
+    }
+
+    /// Advances the PI velocity loop of the joint's drive, if it acts, by one of its steps.
+    pub(super) fn regulate(&mut self) {
+        self.shaft.regulate();
+    }
+
+    /// Turns the joint at this speed, rad/s, for a duration.
+    pub(super) fn turn(&mut self, rad_s: f64, duration_s: f64) {
+        self.shaft.turn(rad_s * self.gear.ratio, duration_s);
     }
 
     /// Stops the joint at this angle, rad: a mechanical end stop.

@@ -1,32 +1,60 @@
 //! The machine that the segment's motors turn: gears, robot, pen and paper.
 
+use super::calibration::{Placing, Residues};
+use super::coupled::Coupled;
 use super::dynamics::Dynamics;
 use super::joint::{Gear, Joint};
+use super::mechanism::Mechanism;
 use super::paper::Sheet;
+use super::physics::{LoopKind, Physics};
 use super::robot::Robot;
+use super::vibration::Vibration;
 use etherpen::config::Config;
-use etherpen::robots::{AXES, JointAngles};
+use etherpen::robots::{AXES, JointAngles, JointVelocities};
 use etherpen_segment::{Load, Shaft};
+
+/// Motion of the joints that only have a torque.
+#[derive(Clone, Debug)]
+enum Motion {
+    /// Smooth friction and no play, for drives that move their motors by themselves unless they are in torque mode.
+    Smooth(Box<Dynamics>),
+    /// Dry friction that holds, and play.
+    Coupled(Box<Coupled>),
+}
 
 /// Everything that the motors turn.
 #[derive(Clone, Debug)]
 pub(super) struct Machine {
     /// The gear at each slave, used if the slave has a motor.
     gears: Vec<Gear>,
-    dynamics: Dynamics,
+    motion: Motion,
     pub(super) robot: Robot,
+    vibration: Option<Vibration>,
+    placing: Option<Placing>,
     pub(super) sheet: Sheet,
 }
 
 impl Machine {
     /// The machine at rest, with a gear for each slave of the chain.
-    pub(super) fn new(config: &Config, gears: Vec<Gear>, joints: &JointAngles, dry_friction_nm: f64) -> Self {
-        let mut robot = Robot::new(&config.geometry);
+    pub(super) fn new(
+        config: &Config,
+        gears: Vec<Gear>,
+        joints: &JointAngles,
+        physics: &Physics,
+        residues: &Residues,
+    ) -> Self {
+        let mechanism = Mechanism::new(&config.geometry).with(physics.payload.mass_kg, residues.mechanism);
+        let mut robot = Robot::new(mechanism.clone());
         robot.step(joints);
+        let differs = residues.mechanism.is_some() || physics.calibration.sync_mrad > 0.0;
         Self {
             gears,
-            dynamics: Dynamics::new(&config.geometry, dry_friction_nm),
+            motion: Motion::new(mechanism, physics, joints),
             robot,
+            vibration: Vibration::new(&physics.structural_mode),
+            placing: differs
+                .then(|| Placing::new(&config.geometry, &config.paper, residues))
+                .flatten(),
             sheet: Sheet::new(config.paper),
         }
     }
@@ -34,6 +62,38 @@ impl Machine {
     /// The gear at a slave, from 1.
     pub(super) fn gear(&self, slave: usize) -> Option<Gear> {
         slave.checked_sub(1).and_then(|index| self.gears.get(index)).copied()
+    }
+
+    /// Replaces the main joints' angles and speeds at the motors by those behind the play of their gears.
+    pub(super) fn behind_play(&self, angles_rad: &mut [f64; AXES], speeds_rad_s: &mut [f64; AXES]) {
+        let Motion::Coupled(coupled) = &self.motion else {
+            return;
+        };
+        if let Some((angles, speeds)) = coupled.load_side() {
+            angles_rad
+                .iter_mut()
+                .zip(angles)
+                .for_each(|(here, angle)| *here = angle);
+            speeds_rad_s
+                .iter_mut()
+                .zip(speeds)
+                .for_each(|(here, speed)| *here = speed);
+        }
+    }
+}
+
+impl Motion {
+    fn new(mechanism: Mechanism, physics: &Physics, joints: &JointAngles) -> Self {
+        let Physics { friction, backlash, .. } = *physics;
+        let smooth = physics.velocity_loop.kind == LoopKind::Lag
+            && friction.stiction_factor <= 1.0
+            && backlash.gap_arcmin <= 0.0;
+        if smooth {
+            return Self::Smooth(Box::new(Dynamics::new(mechanism, friction)));
+        }
+        let gap_rad = (backlash.gap_arcmin / 60.0).to_radians();
+        let [a, b, c, ..] = joints.0;
+        Self::Coupled(Box::new(Coupled::new(mechanism, friction, gap_rad, [a, b, c])))
     }
 }
 
@@ -43,16 +103,25 @@ impl Load for Machine {
             .iter_mut()
             .filter_map(|shaft| Some((self.gear(shaft.slave())?, shaft)));
         let mut joints: Vec<Joint> = with_gears.map(|(gear, shaft)| Joint::new(shaft, gear)).collect();
-        self.dynamics.step(&mut joints);
+        match &mut self.motion {
+            Motion::Smooth(dynamics) => dynamics.step(&mut joints),
+            Motion::Coupled(coupled) => coupled.step(&mut joints),
+        }
         for (axis, joint) in joints.iter_mut().enumerate() {
             self.robot.limit(axis, joint);
         }
-        let mut angles = [0.0; AXES];
-        for (angle, joint) in angles.iter_mut().zip(&joints) {
+        let mut angles = JointAngles([0.0; AXES]);
+        for (angle, joint) in angles.0.iter_mut().zip(&joints) {
             *angle = joint.angle_rad();
         }
-        if let Some(platform) = self.robot.step(&JointAngles(angles)) {
-            self.sheet.step(time_ms, platform);
+        self.behind_play(&mut angles.0, &mut [0.0; AXES]);
+        if let Some(platform) = self.robot.step(&angles) {
+            let pen = match &mut self.vibration {
+                Some(vibration) => vibration.step(platform),
+                None => platform,
+            };
+            let pen = self.placing.map_or(pen, |placing| placing.on_paper(pen));
+            self.sheet.step(time_ms, pen);
         }
     }
 }

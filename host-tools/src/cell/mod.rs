@@ -1,7 +1,7 @@
 //! The virtual cell: an EtherCAT segment with drives, motors, the robot and its pen.
 //!
 //! It replaces the hardware: the bus with its drives is [`etherpen_segment::Segment`], and its motors turn the robot
-//! with pen and paper. The segment is written from the slave's side and shares names and layouts of registers and of
+//! with pen and paper. [`Physics`] says how far they are from an ideal robot. The segment is written from the slave's side and shares names and layouts of registers and of
 //! the SII with the master, but no logic. The robot's geometry is the controller's own
 //! ([`etherpen::robots::Kinematics`]): an error in the kinematics would not show in the ink, so the kinematics have
 //! tests of their own.
@@ -10,13 +10,19 @@
 //!
 //! Invariant: the same configuration, options and frames give the same ink, and no input panics.
 
+mod calibration;
+mod contact;
+mod coupled;
 mod dynamics;
 mod faults;
 mod joint;
 mod machine;
 mod mechanism;
 mod paper;
+mod physics;
 mod robot;
+mod tuning;
+mod vibration;
 
 pub use etherpen_segment::{
     AlState, ClockOptions, DriveState, Fault, MailFault, MailStep, Product, ResolverFault, SCRIPT_HELP, Script,
@@ -24,28 +30,28 @@ pub use etherpen_segment::{
 };
 pub use faults::read_faults;
 pub use paper::{InkStroke, PEN_SPRING_MM};
+pub use physics::{
+    Backlash, Calibration, CellChoice, CellFileError, DeadTime, Friction, LoopKind, Payload, Physics, Resolver,
+    StructuralMode, TorqueMeasurement, Value, VelocityLoop,
+};
 
 use crate::random::Random;
-use etherpen::config::{Axis, Config};
+use calibration::Residues;
+use etherpen::config::Config;
 use etherpen::robots::{AXES, JointAngles, JointVelocities, Position};
-use etherpen_segment::{DriveOptions, Segment, SegmentOptions};
+use etherpen_segment::{Segment, SegmentOptions};
 use joint::Gear;
 use machine::Machine;
 use std::collections::BTreeMap;
-
-/// Deceleration of a joint whose motor's brake is closed, rad/s2.
-pub(crate) const BRAKE_RAD_S2: f64 = 400.0;
+pub(crate) use tuning::BRAKE_RAD_S2;
+use tuning::Commissioning;
 
 /// Options of the cell, beyond the configuration.
 #[derive(Clone, Debug)]
 pub struct CellOptions {
-    /// Bandwidth of the drives' velocity loops, Hz.
-    pub drive_bandwidth_hz: f64,
-    /// Age of a position when the bus can read it, milliseconds.
-    pub input_delay_cycles: usize,
-    /// Age of a command when the motor follows it, milliseconds.
-    pub output_delay_cycles: usize,
-    /// Seed of all random values: the starting pose and the script's chances.
+    /// Drives, friction, play, vibration, payload and calibration.
+    pub physics: Physics,
+    /// Seed of all random values: starting pose, script's chances, resolvers' phases, signs of errors, late commands.
     pub seed: u64,
     /// Largest distance of a joint from its synchronisation angle at the start, radians.
     pub start_offset_max_rad: f64,
@@ -58,30 +64,18 @@ pub struct CellOptions {
     pub clocks: ClockOptions,
     /// Busy time of a command to an information memory (SII), microseconds.
     pub sii_busy_us: u64,
-    /// Largest noise of the resolvers, increments.
-    pub resolver_noise_increments: f64,
-    /// Speed by which dry friction slows the drives' velocity loops until their integral compensates for it, rad/s at
-    /// the joint.
-    pub friction_rad_s: f64,
-    /// Dry friction of joints in torque mode, N m.
-    pub dry_friction_nm: f64,
 }
 
 impl Default for CellOptions {
     fn default() -> Self {
         Self {
-            drive_bandwidth_hz: 100.0,
-            input_delay_cycles: 1,
-            output_delay_cycles: 1,
+            physics: Physics::NOMINAL,
             seed: 1,
             start_offset_max_rad: 0.1,
             faults: Script::default(),
             slaves: Vec::new(),
             clocks: ClockOptions::default(),
             sii_busy_us: SegmentOptions::default().sii_busy_us,
-            resolver_noise_increments: 0.0,
-            friction_rad_s: 0.0,
-            dry_friction_nm: 0.3,
         }
     }
 }
@@ -139,13 +133,17 @@ impl Cell {
             0 => vec![SlaveKind::Ax2000; usize::from(config.bus.drives).min(config.axes.len())],
             _ => options.slaves.clone(),
         };
+        let residues = Residues::new(&config.geometry, &options.physics.calibration, options.seed);
+        let mut commissioning = Commissioning::new(config, &options.physics, options.seed);
         let mut axes = config.axes.into_iter();
+        let mut errors_rad = residues.sync_rad.into_iter();
         let (mut gears, mut drives) = (Vec::new(), Vec::new());
         let mut joints = JointAngles([0.0; AXES]);
         let mut angles = joints.0.iter_mut();
         for kind in &slaves {
             let axis = kind.is_drive().then(|| axes.next()).flatten().unwrap_or_default();
-            let gear = Gear::new(&axis);
+            let sync_rad = kind.is_drive().then(|| errors_rad.next()).flatten().unwrap_or(0.0);
+            let gear = Gear::new(&axis, sync_rad);
             gears.push(gear);
             if kind.is_drive() {
                 let offset_rad = (2.0 * random.unit() - 1.0) * options.start_offset_max_rad;
@@ -154,10 +152,10 @@ impl Cell {
                     .next()
                     .into_iter()
                     .for_each(|angle| *angle = gear.joint_rad(angle_rad));
-                drives.push(drive(&axis, angle_rad, &options));
+                drives.push(commissioning.drive(drives.len(), &axis, angle_rad));
             }
         }
-        let machine = Machine::new(config, gears, &joints, options.dry_friction_nm);
+        let machine = Machine::new(config, gears, &joints, &options.physics, &residues);
         let segment = SegmentOptions {
             slaves,
             drives,
@@ -235,6 +233,7 @@ impl Cell {
                 DriveState::OperationEnabled | DriveState::QuickStopActive | DriveState::FaultReactionActive
             );
         }
+        machine.behind_play(&mut truth.angles_rad, &mut truth.speeds_rad_s);
         truth
     }
 
@@ -255,24 +254,6 @@ impl Cell {
             frames: self.segment.frames(),
             slaves: self.segment.slaves(),
         }
-    }
-}
-
-/// The drive of an axis, with its motor at this angle.
-fn drive(axis: &Axis, angle_rad: f64, options: &CellOptions) -> DriveOptions {
-    let gear = axis.gear.abs();
-    DriveOptions {
-        increments_per_revolution: axis.increments_per_revolution,
-        zero_increments: axis.sync_increments,
-        digits_per_rpm: axis.digits_per_rpm,
-        quick_stop_rad_s2: axis.quick_stop_rad_s2.abs() * gear,
-        brake_rad_s2: BRAKE_RAD_S2 * gear,
-        bandwidth_hz: options.drive_bandwidth_hz,
-        friction_rad_s: options.friction_rad_s * gear,
-        noise_increments: options.resolver_noise_increments,
-        input_delay_ms: options.input_delay_cycles,
-        output_delay_ms: options.output_delay_cycles,
-        angle_rad,
     }
 }
 

@@ -2,7 +2,6 @@
 
 use super::joint::Joint;
 use super::mechanism::Mechanism;
-use etherpen::config::Geometry;
 use etherpen::robots::{JointAngles, Position};
 
 /// The robot; without a valid geometry it has no platform.
@@ -15,9 +14,9 @@ pub(super) struct Robot {
 }
 
 impl Robot {
-    pub(super) fn new(geometry: &Geometry) -> Self {
+    pub(super) fn new(mechanism: Mechanism) -> Self {
         Self {
-            mechanism: Mechanism::new(geometry),
+            mechanism,
             platform: None,
             unreachable_ms: 0,
             end_stop_ms: 0,
@@ -64,7 +63,7 @@ impl Robot {
 mod tests {
     use super::*;
     use crate::cell::{Cell, CellOptions, DriveState};
-    use etherpen::config::Config;
+    use etherpen::config::{Config, Geometry};
     use etherpen_segment::rig::Rig;
 
     #[test]
@@ -76,7 +75,9 @@ mod tests {
         }
         let state = rig.bus.state();
         assert_eq!(state.slaves[0].drive, DriveState::OperationEnabled);
-        let stop_rad = Robot::new(&Geometry::default()).mechanism.end_stops_rad()[0][1];
+        let stop_rad = Robot::new(Mechanism::new(&Geometry::default()))
+            .mechanism
+            .end_stops_rad()[0][1];
         assert!(stop_rad > Geometry::default().ranges_rad()[0][1]);
         assert!((state.joints.0[0] - stop_rad).abs() < 1e-9, "{state:?}");
         assert!(state.end_stop_ms > 200);
@@ -84,13 +85,13 @@ mod tests {
 
     #[test]
     fn joints_that_no_platform_connects_are_counted() {
-        let mut robot = Robot::new(&Geometry::default());
+        let mut robot = Robot::new(Mechanism::new(&Geometry::default()));
         assert!(robot.step(&JointAngles([0.3; 4])).is_some());
         let geometry = Geometry {
             forearm_mm: 200.0,
             ..Geometry::default()
         };
-        let mut short = Robot::new(&geometry);
+        let mut short = Robot::new(Mechanism::new(&geometry));
         assert_eq!((short.step(&JointAngles([-0.7; 4])), short.unreachable_ms()), (None, 1));
     }
 }

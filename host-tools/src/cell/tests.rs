@@ -170,7 +170,11 @@ fn drives_of_any_kind_are_the_axes_in_their_order() {
 
 /// All four drives enabled in digital current mode, with this torque demand of the main axes from then on.
 fn main_axes_with_torque(digits: i16, milliseconds: u32) -> CellState {
-    let mut rig = rig(CellOptions::default());
+    main_axes_in(CellOptions::default(), digits, milliseconds)
+}
+
+fn main_axes_in(options: CellOptions, digits: i16, milliseconds: u32) -> CellState {
+    let mut rig = rig(options);
     rig.addresses();
     rig.mailboxes();
     rig.request(2);
@@ -215,4 +219,118 @@ fn main_axes_fall_without_torque_and_rise_with_more_than_their_weight() {
     assert!(fallen.velocities.0[3].abs() < 0.01);
     let risen = main_axes_with_torque(-800, 20);
     assert!(risen.velocities.0[..3].iter().all(|rad_s| *rad_s < -0.5), "{risen:?}");
+}
+
+fn physics(physics: Physics, seed: u64) -> CellOptions {
+    CellOptions {
+        physics,
+        seed,
+        ..CellOptions::default()
+    }
+}
+
+#[test]
+fn a_pessimistic_cell_repeats_itself_by_its_seed_and_differs_from_the_nominal_one() {
+    let pessimistic = |seed| draw(paper_below(physics(Physics::PESSIMISTIC, seed)));
+    let (ink, state) = pessimistic(1);
+    assert!(!ink.is_empty(), "{state:?}");
+    assert!((ink.clone(), state.clone()) == pessimistic(1), "another picture");
+    assert!((ink.clone(), state.clone()) != pessimistic(2), "the same picture");
+    assert!(
+        (ink, state) != draw(paper_below(CellOptions::default())),
+        "the nominal picture"
+    );
+}
+
+#[test]
+fn every_phenomenon_alone_changes_what_the_robot_does() {
+    let still = draw(paper_below(CellOptions::default()));
+    let Physics {
+        velocity_loop,
+        dead_time,
+        resolver,
+        backlash,
+        structural_mode,
+        calibration,
+        ..
+    } = Physics::PESSIMISTIC;
+    let nominal = Physics::NOMINAL;
+    for (name, options) in [
+        (
+            "velocity loop",
+            Physics {
+                velocity_loop,
+                ..nominal
+            },
+        ),
+        ("dead time", Physics { dead_time, ..nominal }),
+        ("backlash", Physics { backlash, ..nominal }),
+        (
+            "structural mode",
+            Physics {
+                structural_mode,
+                ..nominal
+            },
+        ),
+        ("calibration", Physics { calibration, ..nominal }),
+    ] {
+        assert!(draw(paper_below(physics(options, 1))) != still, "{name}");
+    }
+    // Nothing in these frames depends on the measured position.
+    assert!(draw(paper_below(physics(Physics { resolver, ..nominal }, 1))) == still);
+}
+
+#[test]
+fn under_a_pi_loop_the_joints_reach_their_speed_and_the_brakes_hold_them() {
+    let mut rig = Rig::new(Cell::new(&Config::default(), physics(Physics::PESSIMISTIC, 1)));
+    rig.bring_up();
+    (0..300).for_each(|_| {
+        rig.cycle([0; 4], 0x0F);
+    });
+    let resting = rig.bus.state();
+    assert!(
+        resting.velocities.0.iter().all(|rad_s| rad_s.abs() < 1e-3),
+        "{resting:?}"
+    );
+    // 0.5 rad/s at the joint; the resolvers' error makes 0.3 % of ripple, for the speed that the loop measures.
+    let axis = Config::default().axes[0];
+    let digits = (0.5 * axis.gear * 60.0 / std::f64::consts::TAU * axis.digits_per_rpm) as i32;
+    (0..400).for_each(|_| {
+        rig.cycle([digits; 4], 0x0F);
+    });
+    let moving = rig.bus.state();
+    assert!(
+        moving.velocities.0.iter().all(|rad_s| (rad_s - 0.5).abs() < 0.01),
+        "{moving:?}"
+    );
+    (0..200).for_each(|_| {
+        rig.cycle([0; 4], 0x02);
+    });
+    let stopped = rig.bus.state();
+    assert!(
+        stopped.velocities.0.iter().all(|rad_s| rad_s.abs() < 1e-9),
+        "{stopped:?}"
+    );
+    assert_eq!(stopped.slaves[0].drive, DriveState::SwitchOnDisabled);
+    (0..200).for_each(|_| {
+        rig.cycle([0; 4], 0x00);
+    });
+    let held = rig.bus.state().joints;
+    for (held, stopped) in held.0.iter().zip(stopped.joints.0) {
+        assert!((held - stopped).abs() < 1e-4, "{held} {stopped}");
+    }
+}
+
+#[test]
+fn a_payload_lets_main_axes_in_torque_mode_fall_by_their_weight() {
+    // Arms that carry a platform of 1.6 kg instead of 0.6 kg need more torque: what just holds the empty one is too little.
+    let loaded = Physics {
+        payload: Payload { mass_kg: 1.0 },
+        ..Physics::NOMINAL
+    };
+    let held = |options| main_axes_in(options, -160, 100).velocities.0[..3].to_vec();
+    let (empty, loaded) = (held(CellOptions::default()), held(physics(loaded, 1)));
+    for (empty, loaded) in empty.iter().zip(&loaded) {
+        assert!(*loaded > empty + 0.1, "{empty} {loaded}");
+    }
 }

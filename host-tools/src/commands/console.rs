@@ -1,7 +1,7 @@
 //! `etherpen console`: the operator's page, for a real machine, the emulator or a simulation in virtual time.
 
 use super::ports::OptionalPort;
-use super::{ConfigArguments, ended_by_a_signal};
+use super::{CellArguments, ConfigArguments, ended_by_a_signal};
 use crate::cell::{CellOptions, read_faults};
 use crate::console::Console;
 use crate::console::server::Server;
@@ -41,6 +41,8 @@ pub struct Arguments {
     /// File with scripted faults of the virtual segment, one per line (etherpen segment --help describes them).
     #[arg(long, value_name = "FILE")]
     faults: Option<PathBuf>,
+    #[command(flatten)]
+    cell: CellArguments,
     #[command(flatten)]
     config: ConfigArguments,
 }
@@ -94,6 +96,7 @@ impl Arguments {
             (self.emulate, "--emulate"),
             (self.simulate, "--simulate"),
             (self.faults.is_some(), "--faults"),
+            (self.cell.given().is_some(), "--cell"),
         ];
         options.into_iter().find_map(|(given, name)| given.then_some(name))
     }
@@ -122,6 +125,7 @@ fn shown(address: SocketAddr) -> String {
 
 fn virtual_cell(arguments: &Arguments, config: &Config) -> Result<(VirtualCell, &'static str), ProgramError> {
     let options = CellOptions {
+        physics: arguments.cell.load()?,
         faults: read_faults(arguments.faults.as_deref(), config.bus.drives.into())?,
         ..CellOptions::default()
     };

@@ -1,7 +1,7 @@
 //! `cargo demo`: the main job with no hardware.
 
-use super::DrawingArguments;
 use super::display::Display;
+use super::{CellArguments, DrawingArguments};
 use crate::drawing::preparation::prepare::prepare_with;
 use crate::emulator::LogLine;
 use crate::error::ProgramError;
@@ -26,6 +26,8 @@ pub struct Arguments {
     photo: Option<PathBuf>,
     #[command(flatten)]
     drawing: DrawingArguments,
+    #[command(flatten)]
+    cell: CellArguments,
 }
 
 /// Runs the command.
@@ -35,6 +37,7 @@ pub struct Arguments {
 pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     setup::ensure_sources()?;
     let config = arguments.drawing.config.load()?;
+    let physics = arguments.cell.load()?;
     let photo = arguments
         .photo
         .clone()
@@ -45,7 +48,9 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         .clone()
         .unwrap_or_else(|| setup::workspace().join("target/demo"));
     let drawing = &arguments.drawing;
-    refuse_inputs_in(&dir, &drawing.source.inputs(&photo, drawing.config.path()))?;
+    let mut inputs = drawing.source.inputs(&photo, drawing.config.path());
+    inputs.extend(arguments.cell.file());
+    refuse_inputs_in(&dir, &inputs)?;
     eprintln!("Vectorising {}", photo.display());
     let prepared = prepare_with(&photo, &config, &arguments.drawing.source)?;
     setup::ensure_qemu()?;
@@ -53,7 +58,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     eprintln!("Building the firmware for the emulated board");
     let image = setup::build_firmware("emulated")?;
     eprintln!("Starting the firmware in QEMU (mps2-an500, Cortex-M7)");
-    let task = task(&config, &prepared);
+    let task = task(&config, &prepared).in_cell(physics);
     let (log_file, mut log) = PendingOutput::create(&dir, "firmware.log")?;
     let (capture_file, capture) = capture(&dir)?;
     let log_is_whole = Arc::new(AtomicBool::new(true));

@@ -1,6 +1,6 @@
 //! `etherpen emulate`: the firmware in QEMU with the virtual cell, left running.
 
-use super::ConfigArguments;
+use super::{CellArguments, ConfigArguments};
 use crate::captured_cell::CapturedCell;
 use crate::cell::{Cell, CellOptions, read_faults};
 use crate::emulator::free_running::FreeRunning;
@@ -28,7 +28,7 @@ pub struct Arguments {
     /// Give the firmware the emulator's own network instead of the virtual cell, for EtherCAT in UDP: it gets its
     /// address by DHCP and reaches a segment on this computer (etherpen segment --udp 127.0.0.1:34980) as 10.0.2.2.
     /// Needs --free-running, and transport = "udp", segment = "10.0.2.2" in the job's configuration.
-    #[arg(long, requires = "free_running", conflicts_with = "faults")]
+    #[arg(long, requires = "free_running", conflicts_with_all = ["faults", "cell"])]
     udp: bool,
     /// File with scripted faults of the virtual segment, one per line.
     #[arg(long, value_name = "FILE")]
@@ -36,6 +36,8 @@ pub struct Arguments {
     /// Show the firmware's log on stderr.
     #[arg(long)]
     log: bool,
+    #[command(flatten)]
+    cell: CellArguments,
     #[command(flatten)]
     config: ConfigArguments,
 }
@@ -58,6 +60,7 @@ const LOOK: Duration = Duration::from_millis(100);
 /// A tool is missing, the port is taken, or the emulator ended by itself.
 pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let config = arguments.config.load()?;
+    let physics = arguments.cell.load()?;
     let faults = read_faults(arguments.faults.as_deref(), config.bus.drives.into())?;
     setup::ensure_sources()?;
     setup::ensure_qemu()?;
@@ -65,6 +68,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let cell = Cell::new(
         &config,
         CellOptions {
+            physics,
             faults,
             ..CellOptions::default()
         },

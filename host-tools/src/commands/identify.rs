@@ -4,11 +4,11 @@
 //! The motion runs twice: with the present values, and with the values found, so that the stored values have been
 //! tested.
 
-use super::ConfigArguments;
 use super::display::Display;
 use super::operator::Operator;
 use super::ports::OptionalPort;
-use crate::cell::CellOptions;
+use super::{CellArguments, ConfigArguments};
+use crate::cell::{CellOptions, Physics};
 use crate::error::{ProgramError, code};
 use crate::identification::test_path;
 use crate::job::over_port::{OverPortError, run_job};
@@ -43,6 +43,8 @@ pub struct Arguments {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
+    cell: CellArguments,
+    #[command(flatten)]
     config: ConfigArguments,
 }
 
@@ -52,6 +54,7 @@ pub struct Arguments {
 /// Errors of the configuration, the machine or the file, or a requested axis without an estimate.
 pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let config = arguments.config.load()?;
+    let physics = arguments.cell.load_if(arguments.simulate)?;
     let port = arguments.port.unless(arguments.simulate.then_some("--simulate"))?;
     if port.is_none() && !arguments.simulate {
         let text =
@@ -60,7 +63,9 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     }
     let mut operator = port.as_ref().map(|_| Operator::start());
     let only = arguments.axis.map(|axis| usize::from(axis) - 1);
-    let mut result = identify(&config, only, |config| drive(port.as_ref(), config, operator.as_mut()))?;
+    let mut result = identify(&config, only, |config| {
+        drive(port.as_ref(), config, physics, operator.as_mut())
+    })?;
     print(&result);
     if let Some(path) = target(arguments) {
         let changed = result.store(&path)?;
@@ -83,15 +88,23 @@ fn target(arguments: &Arguments) -> Option<PathBuf> {
     arguments.output.clone().or_else(|| arguments.store.then(in_use))
 }
 
-/// Drives the test motion once.
-fn drive(port: Option<&PortName>, config: &Config, operator: Option<&mut Operator>) -> Result<JobReport, ProgramError> {
+/// Drives the test motion once, on the machine at a port or in a virtual cell.
+fn drive(
+    port: Option<&PortName>,
+    config: &Config,
+    physics: Physics,
+    operator: Option<&mut Operator>,
+) -> Result<JobReport, ProgramError> {
     let path = test_path(config);
     let mut display = Display::new();
     let (Some(port), Some(operator)) = (port, operator) else {
         let task = RunTask {
             config: config.clone(),
             path,
-            cell: CellOptions::default(),
+            cell: CellOptions {
+                physics,
+                ..CellOptions::default()
+            },
         };
         let drawn =
             run::simulate(&task, None, &mut |job| display.update(job)).map_err(|error| ProgramError::from(&error))?;

@@ -32,12 +32,13 @@ pub mod simulate;
 pub mod vectorize;
 pub mod verify;
 
+use crate::cell::{CellChoice, Physics};
 use crate::drawing::preparation::source::SourceArguments;
-use crate::error::ProgramError;
+use crate::error::{ProgramError, code};
 use crate::settings::load;
 use etherpen::config::Config;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
@@ -47,6 +48,51 @@ pub struct ConfigArguments {
     /// Configuration file. Default: `etherpen.toml` in this folder, else the built-in IRB 340.
     #[arg(long, value_name = "FILE", env = "ETHERPEN_CONFIG")]
     pub config: Option<PathBuf>,
+}
+
+/// Option of every command that makes a virtual cell.
+#[derive(clap::Args, Debug, Default)]
+pub struct CellArguments {
+    /// Virtual cell: nominal is an ideal robot, pessimistic one that is hard to control, FILE has values of your own
+    /// (docs/cell.md lists them). Default: nominal.
+    #[arg(long, value_name = "nominal|pessimistic|FILE")]
+    cell: Option<CellChoice>,
+}
+
+impl CellArguments {
+    /// The option's name, if it is given.
+    #[must_use]
+    pub fn given(&self) -> Option<&'static str> {
+        self.cell.as_ref().map(|_| "--cell")
+    }
+
+    /// The file of the cell, if it has one.
+    #[must_use]
+    pub fn file(&self) -> Option<PathBuf> {
+        self.cell.as_ref()?.file().map(Path::to_owned)
+    }
+
+    /// Reads and checks the cell's values for a command that has a cell only with --simulate.
+    ///
+    /// # Errors
+    /// The option was given without --simulate, or the file or a value cannot be used.
+    pub fn load_if(&self, simulate: bool) -> Result<Physics, ProgramError> {
+        match self.given() {
+            Some(name) if !simulate => Err(ProgramError::new(
+                code::USAGE,
+                format!("{name} is for the virtual cell: add --simulate"),
+            )),
+            _ => self.load(),
+        }
+    }
+
+    /// Reads and checks the cell's values.
+    ///
+    /// # Errors
+    /// The file and the value that cannot be used.
+    pub fn load(&self) -> Result<Physics, ProgramError> {
+        self.cell.as_ref().map_or(Ok(Physics::NOMINAL), CellChoice::load)
+    }
 }
 
 /// Options of every command that draws.
@@ -111,6 +157,39 @@ pub fn print_json(value: &impl serde::Serialize) -> Result<(), ProgramError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use clap::Parser;
+
+    #[derive(clap::Parser)]
+    struct Simulation {
+        #[command(flatten)]
+        cell: CellArguments,
+    }
+
+    fn parsed(words: &[&str]) -> CellArguments {
+        Simulation::parse_from([&["simulate"], words].concat()).cell
+    }
+
+    #[test]
+    fn the_cell_is_nominal_pessimistic_or_a_file() {
+        assert_eq!(parsed(&[]).load().unwrap(), Physics::NOMINAL);
+        assert_eq!(parsed(&["--cell", "nominal"]).load().unwrap(), Physics::NOMINAL);
+        let pessimistic = parsed(&["--cell", "pessimistic"]);
+        assert_eq!(pessimistic.load().unwrap(), Physics::PESSIMISTIC);
+        assert_eq!((pessimistic.file(), pessimistic.given()), (None, Some("--cell")));
+        let file = parsed(&["--cell", "no/such.toml"]);
+        assert_eq!(file.file(), Some(PathBuf::from("no/such.toml")));
+        let error = file.load().unwrap_err();
+        assert_eq!(error.code, code::USAGE);
+        assert!(error.message.contains("no/such.toml"), "{}", error.message);
+    }
+
+    #[test]
+    fn a_cell_without_a_simulation_is_refused() {
+        assert!(parsed(&[]).load_if(false).is_ok());
+        assert!(parsed(&["--cell", "pessimistic"]).load_if(true).is_ok());
+        let error = parsed(&["--cell", "pessimistic"]).load_if(false).unwrap_err();
+        assert!(error.message.contains("--simulate"), "{}", error.message);
+    }
 
     #[test]
     fn the_sample_configuration_lists_the_defaults() {

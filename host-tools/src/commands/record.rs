@@ -5,7 +5,8 @@
 //! readable however the recording ends; the message says how much it contains.
 
 use super::ports::SessionPort;
-use super::{ConfigArguments, ended_by_a_signal};
+use super::{CellArguments, ConfigArguments, ended_by_a_signal};
+use crate::cell::Physics;
 use crate::drawing::preparation::prepare::prepare;
 use crate::error::{ProgramError, code};
 use crate::job::Control;
@@ -52,6 +53,8 @@ pub struct Arguments {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
+    cell: CellArguments,
+    #[command(flatten)]
     config: ConfigArguments,
 }
 
@@ -73,13 +76,15 @@ struct Recorded {
 /// The file cannot be written, there is no connection, or the drawing failed.
 pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let config_file = arguments.config.file().map(|(path, _)| path);
-    let inputs: Vec<PathBuf> = arguments.simulate.iter().cloned().chain(config_file).collect();
+    let files = arguments.simulate.iter().cloned().chain(arguments.cell.file());
+    let inputs: Vec<PathBuf> = files.chain(config_file).collect();
     refuse_input(&arguments.output, &inputs)?;
     let config = arguments.config.load()?;
+    let physics = arguments.cell.load_if(arguments.simulate.is_some())?;
     let port = (arguments.port).find_unless(arguments.simulate.as_ref().map(|_| "--simulate"))?;
     match (port, &arguments.simulate) {
         (Some(port), _) => listen(arguments, &config, &port),
-        (None, file) => simulate(arguments, &config, file.as_deref().unwrap_or(Path::new("-"))),
+        (None, file) => simulate(arguments, &config, physics, file.as_deref().unwrap_or(Path::new("-"))),
     }
 }
 
@@ -116,7 +121,7 @@ fn memory_max_mb() -> Option<f64> {
 }
 
 /// Draws in virtual time and records it.
-fn simulate(arguments: &Arguments, config: &Config, file: &Path) -> Result<(), ProgramError> {
+fn simulate(arguments: &Arguments, config: &Config, physics: Physics, file: &Path) -> Result<(), ProgramError> {
     let prepared = prepare(file, config)?;
     let about = About {
         config,
@@ -127,7 +132,8 @@ fn simulate(arguments: &Arguments, config: &Config, file: &Path) -> Result<(), P
     let ended = ended_by_a_signal()?;
     let longest = arguments.duration.map(|seconds| (seconds * 1_000.0) as usize);
     let (mut seen, mut over) = (0, false);
-    let drawn = run::simulate(&task(config, &prepared), None, &mut |job| {
+    let task = task(config, &prepared).in_cell(physics);
+    let drawn = run::simulate(&task, None, &mut |job| {
         while let Some(event) = job.next_event() {
             if let Some(account) = Account::of_job(&event) {
                 recording.write(|recorder| account.record(recorder));

@@ -1,7 +1,7 @@
 //! `etherpen reference`: takes the resolvers' angles as the robot's, at the marks or at a known pose, and stores them.
 
 use super::ports::SessionPort;
-use super::{ConfigArguments, print_json};
+use super::{CellArguments, ConfigArguments, print_json};
 use crate::cell::{Cell, CellOptions};
 use crate::error::{ProgramError, code};
 use crate::job::reference::{Pose, ReferenceJob, Referenced, Wanted};
@@ -56,6 +56,8 @@ pub struct Arguments {
     /// Print the result as JSON on stdout.
     #[arg(long)]
     json: bool,
+    #[command(flatten)]
+    cell: CellArguments,
     #[command(flatten)]
     config: ConfigArguments,
 }
@@ -152,6 +154,7 @@ fn wanted(arguments: &Arguments, kinematics: &Kinematics) -> Result<Wanted, Prog
 }
 
 fn take(arguments: &Arguments, config: &Config, wanted: Wanted) -> Result<Referenced, ProgramError> {
+    let physics = arguments.cell.load_if(arguments.simulate)?;
     let mut job = ReferenceJob::new(config.clone(), wanted, session_number()).acknowledging(arguments.acknowledge);
     match arguments.port.find_unless(arguments.simulate.then_some("--simulate"))? {
         Some(name) => {
@@ -166,7 +169,11 @@ fn take(arguments: &Arguments, config: &Config, wanted: Wanted) -> Result<Refere
             }
         }
         None => {
-            let mut cell = Cell::new(config, CellOptions::default());
+            let options = CellOptions {
+                physics,
+                ..CellOptions::default()
+            };
+            let mut cell = Cell::new(config, options);
             simulation::run(&mut cell, &mut job, SIMULATED_MAX_MS);
         }
     }

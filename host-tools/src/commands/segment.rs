@@ -1,7 +1,7 @@
 //! `etherpen segment`: runs the virtual segment alone, in real time, for any master.
 
 use super::endpoint::SegmentArguments;
-use super::{ConfigArguments, ended_by_a_signal, print_json};
+use super::{CellArguments, ConfigArguments, ended_by_a_signal, print_json};
 use crate::cell::{Cell, CellOptions, SCRIPT_HELP, SlaveKind, SlaveListError, parse_slaves, read_faults};
 use crate::error::{ProgramError, code};
 use crate::output_file::refuse_input;
@@ -33,6 +33,8 @@ pub struct Arguments {
     #[arg(long)]
     json: bool,
     #[command(flatten)]
+    cell: CellArguments,
+    #[command(flatten)]
     config: ConfigArguments,
 }
 
@@ -57,7 +59,8 @@ fn slave_list(text: &str) -> Result<SlaveList, SlaveListError> {
 fn inputs(arguments: &Arguments) -> Vec<PathBuf> {
     let config = arguments.config.file().map(|(path, _)| path);
     let slaves = arguments.slaves.iter().flat_map(|list| list.files.iter().cloned());
-    slaves.chain(arguments.faults.clone()).chain(config).collect()
+    let others = arguments.faults.clone().into_iter().chain(arguments.cell.file());
+    slaves.chain(others).chain(config).collect()
 }
 
 /// Runs the command until it is interrupted.
@@ -75,6 +78,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     };
     let faults = read_faults(arguments.faults.as_deref(), slaves.len())?;
     let options = CellOptions {
+        physics: arguments.cell.load()?,
         faults,
         slaves: slaves.clone(),
         ..CellOptions::default()

@@ -1,7 +1,7 @@
 //! `etherpen simulate`: draws with the firmware's tasks and the virtual cell in virtual time, in this process.
 
-use super::DrawingArguments;
 use super::display::Display;
+use super::{CellArguments, DrawingArguments};
 use crate::drawing::preparation::prepare::prepare_with;
 use crate::error::ProgramError;
 use crate::output_file::make_folder;
@@ -19,6 +19,8 @@ pub struct Arguments {
     file: PathBuf,
     #[command(flatten)]
     drawing: DrawingArguments,
+    #[command(flatten)]
+    cell: CellArguments,
 }
 
 /// Runs the command.
@@ -27,16 +29,19 @@ pub struct Arguments {
 /// The file, the configuration or the drawing failed.
 pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let config = arguments.drawing.config.load()?;
+    let physics = arguments.cell.load()?;
     let drawing = &arguments.drawing;
     let dir = drawing.out.as_deref();
     if let Some(dir) = dir {
-        refuse_inputs_in(dir, &drawing.source.inputs(&arguments.file, drawing.config.path()))?;
+        let mut inputs = drawing.source.inputs(&arguments.file, drawing.config.path());
+        inputs.extend(arguments.cell.file());
+        refuse_inputs_in(dir, &inputs)?;
     }
     let prepared = prepare_with(&arguments.file, &config, &drawing.source)?;
     if let Some(dir) = dir {
         make_folder(dir)?;
     }
-    let task = task(&config, &prepared);
+    let task = task(&config, &prepared).in_cell(physics);
     let (capture_file, sink) = dir.map(capture).transpose()?.unzip();
     let mut display = Display::new();
     let drawn =

@@ -61,9 +61,9 @@ impl<'a> Outcome<'a> {
     pub fn report(&self) -> Report {
         let ink = self.cell.map(|(cell, _)| ink_in_robot_frame(self.config, cell.ink()));
         let drives = self.cell.map(|(_, options)| Drives {
-            bandwidth_hz: options.drive_bandwidth_hz,
-            input_delay_cycles: options.input_delay_cycles,
-            output_delay_cycles: options.output_delay_cycles,
+            bandwidth_hz: options.physics.velocity_loop.bandwidth_hz,
+            input_delay_cycles: options.physics.dead_time.position_cycles as usize,
+            output_delay_cycles: options.physics.dead_time.command_cycles as usize,
         });
         let mut report = Report::new(&Evidence {
             config: self.config,

@@ -313,11 +313,10 @@ impl Drawing {
                 }
             }
         }
-        // A share of a short drawing is less than a place: then any one place may be without ink.
-        let missing_max = if part_max > 0.0 {
-            (part_max * f64::from(places)).max(1.0)
-        } else {
-            0.0
+        // A share of a short drawing is less than a dot: lowering the pen, and a leg of no length, are four places.
+        let missing_max = match part_max > 0.0 {
+            true => (part_max * f64::from(places)).max(4.0),
+            false => 0.0,
         };
         first.filter(|_| f64::from(missing) > missing_max)
     }

@@ -5,13 +5,18 @@
 //! or against the closed brake (all other states).
 
 pub(crate) mod motor;
+mod options;
 pub(crate) mod resolver;
 pub(crate) mod servo;
+pub(crate) mod velocity_loop;
+
+pub use options::DriveOptions;
 
 use motor::{Action, Motor};
 use resolver::{Resolver, ResolverFault};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
+use velocity_loop::{Regulator, VelocityLoop};
 
 /// AX2000: digital speed.
 pub(crate) const MODE_DIGITAL_SPEED: i8 = -2;
@@ -101,51 +106,6 @@ pub(crate) struct Demand {
     pub(crate) control: u16,
 }
 
-/// Properties and settings of a servo drive and its motor; angles, speeds and decelerations are those of the motor.
-#[derive(Clone, Debug, PartialEq)]
-pub struct DriveOptions {
-    /// Position increments of one motor revolution; 0 counts as 1.
-    pub increments_per_revolution: u32,
-    /// Position of the drive at the angle 0, increments.
-    pub zero_increments: u32,
-    /// Digits of the velocity demand for one revolution per minute.
-    pub digits_per_rpm: f64,
-    /// Quick-stop deceleration until a master writes another one, rad/s2.
-    pub quick_stop_rad_s2: f64,
-    /// Deceleration against the closed brake, rad/s2.
-    pub brake_rad_s2: f64,
-    /// Bandwidth of the velocity loop, Hz; at least 0.1.
-    pub bandwidth_hz: f64,
-    /// Speed by which dry friction slows the velocity loop down until its integral makes up for it, rad/s.
-    pub friction_rad_s: f64,
-    /// Noise of the resolver, increments at most.
-    pub noise_increments: f64,
-    /// Age of a position when the bus can read it, ms; at most 100.
-    pub input_delay_ms: usize,
-    /// Age of a command when the motor obeys it, ms; at most 100.
-    pub output_delay_ms: usize,
-    /// Angle of the motor at the start, rad.
-    pub angle_rad: f64,
-}
-
-impl Default for DriveOptions {
-    fn default() -> Self {
-        Self {
-            increments_per_revolution: 1 << 20,
-            zero_increments: 0,
-            digits_per_rpm: 262_144.0 / 1_875.0,
-            quick_stop_rad_s2: 1_200.0,
-            brake_rad_s2: 4_800.0,
-            bandwidth_hz: 100.0,
-            friction_rad_s: 0.0,
-            noise_increments: 0.0,
-            input_delay_ms: 1,
-            output_delay_ms: 1,
-            angle_rad: 0.0,
-        }
-    }
-}
-
 /// One drive with its motor.
 #[derive(Clone, Debug)]
 pub(crate) struct Drive {
@@ -169,9 +129,15 @@ pub(crate) struct Drive {
 }
 
 impl Drive {
-    /// A drive at rest; the seed is that of its resolver's noise.
+    /// A drive at rest; the seed is that of its resolver's noise and of the phases of its error.
     pub(crate) fn new(options: &DriveOptions, noise_seed: u64) -> Self {
-        let motor = Motor::new(options.angle_rad, options.bandwidth_hz).with_friction(options.friction_rad_s);
+        let regulator = match options.velocity_loop {
+            VelocityLoop::Lag => None,
+            VelocityLoop::Pi(options) => Some(Regulator::new(&options, PEAK_TORQUE_NM)),
+        };
+        let motor = Motor::new(options.angle_rad, options.bandwidth_hz)
+            .with_friction(options.friction_rad_s)
+            .with_regulator(regulator);
         let mut drive = Self {
             options: options.clone(),
             profile: Profile::Ax2000,
@@ -189,7 +155,8 @@ impl Drive {
             target_position: None,
             emergencies: VecDeque::new(),
         };
-        drive.resolver = Resolver::new(options.noise_increments / drive.increments_per_rad(), noise_seed);
+        drive.resolver = Resolver::new(options.noise_increments / drive.increments_per_rad(), noise_seed)
+            .with_error(options.resolver_error, noise_seed);
         drive.power_up();
         drive
     }
@@ -241,15 +208,27 @@ impl Drive {
         &mut self.motor
     }
 
-    /// Whether the load decides how the motor moves: the current loop only controls the torque.
-    pub(crate) fn is_in_torque_mode(&self) -> bool {
-        self.state == DriveState::OperationEnabled
-            && matches!(self.mode_display, MODE_DIGITAL_CURRENT | MODE_CYCLIC_TORQUE)
+    /// Whether the load decides how the motor moves: the drive only controls its torque.
+    pub(crate) fn is_moved_by_load(&self) -> bool {
+        let torque_mode = self.state == DriveState::OperationEnabled
+            && matches!(self.mode_display, MODE_DIGITAL_CURRENT | MODE_CYCLIC_TORQUE);
+        torque_mode || self.motor.is_regulated()
+    }
+
+    /// True torque of the motor, N m.
+    pub(crate) fn true_torque_nm(&self) -> f64 {
+        self.motor.torque_nm() * self.options.torque_scale
+    }
+
+    /// Advances a PI velocity loop, if it acts, by one of its steps.
+    pub(crate) fn regulate(&mut self) {
+        let share = self.resolver.speed_share(self.motor.angle_rad());
+        self.motor.regulate(self.motor.speed_rad_s() * share);
     }
 
     /// Position in the drive's scaling, increments: within one motor turn, or over all turns.
     pub(crate) fn position(&self) -> i32 {
-        self.position_at(self.resolver.shown_rad(self.motor.angle_rad()))
+        self.position_at(self.resolved(self.resolver.shown_rad(self.motor.angle_rad())))
     }
 
     /// Speed in digits of the velocity demand.
@@ -259,7 +238,7 @@ impl Drive {
 
     /// Torque in digits of the torque demand.
     pub(crate) fn torque_digits(&self) -> i16 {
-        (self.motor.torque_nm() / self.torque_nm_per_digit()).round() as i16
+        ((self.motor.torque_nm() + self.options.torque_offset_nm) / self.torque_nm_per_digit()).round() as i16
     }
 
     /// The next emergency: an error code, 0 when the error has ended.
@@ -366,7 +345,7 @@ impl Drive {
             DriveState::QuickStopActive | DriveState::FaultReactionActive => {
                 Action::Ramp(f64::from(self.quick_stop_increments_s2) / self.increments_per_rad())
             }
-            _ => Action::Ramp(self.options.brake_rad_s2),
+            _ => Action::Brake(self.options.brake_rad_s2),
         }
     }
 
@@ -446,6 +425,17 @@ impl Drive {
         }
     }
 
+    /// The lowest angle that the resolver does not distinguish from this one, rad.
+    fn resolved(&self, shaft_rad: f64) -> f64 {
+        let steps = 1_u64.checked_shl(self.options.resolver_bits).unwrap_or(0);
+        if steps <= 1 || steps >= u64::from(self.options.increments_per_revolution) {
+            return shaft_rad;
+        }
+        let step_rad = TAU / steps as f64;
+        // Half an increment keeps rounding errors away from the boundary between two increments.
+        (shaft_rad / step_rad).floor() * step_rad + 0.5 / self.increments_per_rad()
+    }
+
     fn true_position(&self) -> i32 {
         self.position_at(self.motor.angle_rad())
     }
@@ -462,134 +452,4 @@ impl Drive {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-
-    fn drive() -> Drive {
-        Drive::new(&DriveOptions::default(), 0)
-    }
-
-    fn hold(drive: &mut Drive, control: u16, velocity_digits: i32, milliseconds: u32) {
-        for _ in 0..milliseconds {
-            drive.step(Some(Demand {
-                velocity_digits,
-                control,
-                ..Demand::default()
-            }));
-        }
-    }
-
-    fn enabled() -> Drive {
-        let mut drive = drive();
-        drive.mode = MODE_DIGITAL_SPEED;
-        for control in [0x06, 0x07, 0x0F] {
-            hold(&mut drive, control, 0, 2);
-        }
-        drive
-    }
-
-    #[test]
-    fn three_control_words_enable_the_drive_one_state_at_a_time() {
-        let mut drive = drive();
-        assert_eq!(drive.status() & 0x4F, 0x40);
-        for (control, mask, bits) in [(0x06, 0x6F, 0x21), (0x07, 0x6F, 0x23), (0x0F, 0x6F, 0x27)] {
-            hold(&mut drive, control, 0, 2);
-            assert_eq!(drive.status() & mask, bits, "control word {control:#x}");
-        }
-    }
-
-    #[test]
-    fn the_status_word_changes_only_every_second_millisecond() {
-        let mut drive = drive();
-        hold(&mut drive, 0, 0, 1);
-        let before = drive.status();
-        hold(&mut drive, 0x06, 0, 1);
-        assert_eq!(drive.status(), before);
-        hold(&mut drive, 0x06, 0, 1);
-        assert_eq!(drive.status() & 0x6F, 0x21);
-    }
-
-    #[test]
-    fn a_velocity_of_one_turn_a_second_is_the_documented_number_of_digits() {
-        let mut drive = enabled();
-        let digits = (60.0 * 262_144.0 / 1_875.0) as i32;
-        hold(&mut drive, 0x0F, digits, 200);
-        let start = drive.motor.angle_rad();
-        hold(&mut drive, 0x0F, digits, 1000);
-        assert!(((drive.motor.angle_rad() - start) / TAU - 1.0).abs() < 1e-4);
-        assert!((drive.motor.speed_rad_s() - TAU).abs() < 1e-3);
-    }
-
-    #[test]
-    fn no_demand_moves_the_motor_faster_than_it_can() {
-        let mut drive = enabled();
-        hold(&mut drive, 0x0F, i32::MIN, 1000);
-        let limit_rad_s = -SPEED_MAX_RPM / 60.0 * TAU;
-        assert!(
-            (drive.motor.speed_rad_s() - limit_rad_s).abs() < 1e-5,
-            "{}",
-            drive.motor.speed_rad_s()
-        );
-    }
-
-    #[test]
-    fn a_mode_without_velocity_does_not_move() {
-        let mut drive = enabled();
-        drive.mode = -1;
-        hold(&mut drive, 0x0F, 100_000, 100);
-        assert_eq!(drive.velocity_digits(), 0);
-    }
-
-    #[test]
-    fn a_quick_stop_ramps_down_with_the_written_deceleration() {
-        let mut drive = enabled();
-        hold(&mut drive, 0x0F, 100_000, 100);
-        let increments_per_digit = f64::from(1 << 20) / (60.0 * 262_144.0 / 1_875.0);
-        drive.quick_stop_increments_s2 = (1_000_000.0 * increments_per_digit) as u32;
-        let mut milliseconds = 0;
-        while drive.state() != DriveState::SwitchOnDisabled && milliseconds < 1000 {
-            hold(&mut drive, 0x02, 100_000, 1);
-            milliseconds += 1;
-        }
-        assert!((100..=102).contains(&milliseconds), "{milliseconds} ms");
-        assert!(drive.motor.is_still());
-    }
-
-    #[test]
-    fn a_fault_stops_tells_and_needs_a_rising_edge() {
-        let mut drive = enabled();
-        hold(&mut drive, 0x8F, 50_000, 50);
-        drive.fault(0x2310);
-        assert_eq!(drive.take_emergency(), Some(0x2310));
-        hold(&mut drive, 0x80, 0, 500);
-        assert_eq!((drive.state(), drive.status() & 0x4F), (DriveState::Fault, 0x08));
-        assert_eq!(drive.error_code(), 0x2310);
-        hold(&mut drive, 0x00, 0, 2);
-        hold(&mut drive, 0x80, 0, 2);
-        assert_eq!((drive.state(), drive.error_code()), (DriveState::SwitchOnDisabled, 0));
-        assert_eq!(drive.take_emergency(), Some(0));
-    }
-
-    #[test]
-    fn without_main_voltage_the_drive_is_never_ready() {
-        let mut drive = drive();
-        drive.set_mains(false);
-        hold(&mut drive, 0x06, 0, 10);
-        assert_eq!(drive.status() & 0x50, 0x40);
-    }
-
-    #[test]
-    fn the_resolver_shows_one_turn_and_the_mark_where_it_was_set() {
-        let options = DriveOptions {
-            zero_increments: 1000,
-            ..DriveOptions::default()
-        };
-        assert_eq!(Drive::new(&options, 0).position(), 1000);
-        let around = DriveOptions {
-            angle_rad: -TAU / 4.0,
-            ..options
-        };
-        let around = Drive::new(&around, 0);
-        assert!((around.position() - (1000 + (1 << 20) * 3 / 4)).abs() <= 1);
-    }
-}
+mod tests;

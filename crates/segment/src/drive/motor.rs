@@ -1,10 +1,13 @@
-//! A servo motor under a first-order velocity loop, moved exactly.
+//! A servo motor under its velocity loop.
 //!
-//! One step is one millisecond. The loop's differential equation is solved in closed form, so the result has no
-//! numerical integration error. Angles are the motor's, in radians.
+//! One step is one millisecond. A first-order velocity loop moves the motor by itself: its differential equation is
+//! solved in closed form, so the result has no numerical integration error. Under a PI velocity loop the motor only has
+//! a torque, and its load moves it. Angles are the motor's, in radians.
+
+use super::velocity_loop::Regulator;
 
 /// Length of a step, seconds.
-pub const STEP_S: f64 = 1e-3;
+pub use super::velocity_loop::STEP_S;
 
 /// Highest speed of the motor under any load, limited by its voltage.
 const SPEED_MAX_RAD_S: f64 = 700.0;
@@ -14,8 +17,10 @@ const SPEED_MAX_RAD_S: f64 = 700.0;
 pub(crate) enum Action {
     /// The velocity loop follows this speed, rad/s.
     Speed(f64),
-    /// The speed falls to zero with this deceleration, rad/s2.
+    /// The drive lets the speed fall to zero with this deceleration, rad/s2.
     Ramp(f64),
+    /// The closed brake lets the speed fall to zero with this deceleration, rad/s2.
+    Brake(f64),
     /// The current loop applies this torque at the motor, N m; the load determines the motion.
     Torque(f64),
 }
@@ -30,8 +35,16 @@ pub(crate) struct Motor {
     /// Speed reduction of the velocity loop by dry friction before its integral compensates it, rad/s.
     friction_rad_s: f64,
     made_up_rad_s: f64,
+    /// PI velocity loop; `None` for a first-order lag.
+    regulator: Option<Regulator>,
+    /// Speed that the PI velocity loop follows; `None` while it does not act.
+    target_rad_s: Option<f64>,
+    /// Whether that speed is on a ramp to zero.
+    ramping: bool,
 }
 
+/// Speed below which a drive counts as standing still at the end of a ramp, rad/s: 5 revolutions per minute.
+const STANDSTILL_RAD_S: f64 = 0.52;
 /// Time constant in which the velocity loop's integral compensates friction, s.
 const INTEGRAL_S: f64 = 0.02;
 /// Speed at which dry friction has mostly built up, rad/s at the motor.
@@ -48,7 +61,15 @@ impl Motor {
             torque_nm: 0.0,
             friction_rad_s: 0.0,
             made_up_rad_s: 0.0,
+            regulator: None,
+            target_rad_s: None,
+            ramping: false,
         }
+    }
+
+    /// This motor with a PI velocity loop, or without one.
+    pub(crate) fn with_regulator(self, regulator: Option<Regulator>) -> Self {
+        Self { regulator, ..self }
     }
 
     /// This motor with dry friction that slows its loop down by `friction_rad_s`.
@@ -68,25 +89,65 @@ impl Motor {
         self.speed_rad_s
     }
 
-    /// Torque of the current loop, N m at the motor; 0 outside torque mode.
+    /// Torque of the current loop, N m at the motor; 0 while the drive moves the motor by itself.
     #[inline]
     pub(crate) fn torque_nm(&self) -> f64 {
         self.torque_nm
     }
 
-    /// Whether the motor is at rest.
+    /// Whether the motor is at rest, after a ramp of its drive.
     pub(crate) fn is_still(&self) -> bool {
-        self.speed_rad_s == 0.0
+        match self.target_rad_s {
+            Some(target_rad_s) => target_rad_s == 0.0 && self.speed_rad_s.abs() < STANDSTILL_RAD_S,
+            None => self.speed_rad_s == 0.0,
+        }
+    }
+
+    /// Whether a PI velocity loop acts.
+    pub(crate) fn is_regulated(&self) -> bool {
+        self.target_rad_s.is_some()
+    }
+
+    /// Advances the PI velocity loop, if it acts, by one of its steps; `measured_rad_s` is the speed that it sees.
+    pub(crate) fn regulate(&mut self, measured_rad_s: f64) {
+        if let (Some(regulator), Some(target_rad_s)) = (&mut self.regulator, self.target_rad_s) {
+            self.torque_nm = regulator.step(target_rad_s, measured_rad_s);
+        }
     }
 
     /// Moves the motor for one millisecond.
     pub(crate) fn step(&mut self, action: Action) {
+        if self.regulator.is_some() && self.set_target(action) {
+            return;
+        }
         self.torque_nm = 0.0;
         match action {
             Action::Torque(torque_nm) => self.torque_nm = torque_nm,
             Action::Speed(target_rad_s) => self.follow(target_rad_s),
-            Action::Ramp(deceleration_rad_s2) => self.slow_down(deceleration_rad_s2),
+            Action::Ramp(deceleration_rad_s2) | Action::Brake(deceleration_rad_s2) => {
+                self.slow_down(deceleration_rad_s2);
+            }
         }
+    }
+
+    /// Sets the target of the PI velocity loop; returns whether the loop acts.
+    fn set_target(&mut self, action: Action) -> bool {
+        let target_rad_s = match action {
+            Action::Speed(target_rad_s) => Some(target_rad_s),
+            Action::Ramp(deceleration_rad_s2) => {
+                let change_rad_s = deceleration_rad_s2.max(1e-3) * STEP_S;
+                // A ramp begins at the present speed.
+                let from_rad_s = self.target_rad_s.filter(|_| self.ramping).unwrap_or(self.speed_rad_s);
+                Some(from_rad_s.signum() * (from_rad_s.abs() - change_rad_s).max(0.0))
+            }
+            Action::Brake(_) | Action::Torque(_) => None,
+        };
+        if let (Some(regulator), None, Some(_)) = (&mut self.regulator, self.target_rad_s, target_rad_s) {
+            regulator.start(self.speed_rad_s);
+        }
+        self.ramping = matches!(action, Action::Ramp(_));
+        self.target_rad_s = target_rad_s;
+        target_rad_s.is_some()
     }
 
     /// Moves the motor with this acceleration, rad/s2, for a duration.
@@ -94,6 +155,13 @@ impl Motor {
         let change_rad_s = rad_s2 * duration_s;
         self.angle_rad += (self.speed_rad_s + 0.5 * change_rad_s) * duration_s;
         self.speed_rad_s = (self.speed_rad_s + change_rad_s).clamp(-SPEED_MAX_RAD_S, SPEED_MAX_RAD_S);
+    }
+
+    /// Turns the motor at this speed, rad/s, for a duration.
+    pub(crate) fn turn(&mut self, rad_s: f64, duration_s: f64) {
+        let rad_s = if rad_s.is_finite() { rad_s } else { 0.0 };
+        self.speed_rad_s = rad_s.clamp(-SPEED_MAX_RAD_S, SPEED_MAX_RAD_S);
+        self.angle_rad += self.speed_rad_s * duration_s;
     }
 
     /// Stops the motor at once at this angle: a mechanical end stop.

@@ -3,6 +3,7 @@
 //! A resolver fault does not affect the motor: the drive's own loops continue with the true angle.
 
 use crate::random::Random;
+use std::f64::consts::TAU;
 
 /// Fault of a resolver.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -17,6 +18,18 @@ pub enum ResolverFault {
     Noise(u32),
 }
 
+/// Error of a resolver that repeats with every turn of the motor, without a fault.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct ResolverError {
+    /// Amplitude of the part that repeats once a turn, rad.
+    pub once_rad: f64,
+    /// Amplitude of the part that repeats twice a turn, rad.
+    pub twice_rad: f64,
+}
+
+/// Gives the phases of the error random numbers of their own.
+const PHASE_SEED: u64 = 0x9A5E;
+
 /// A resolver.
 #[derive(Clone, Debug)]
 pub(crate) struct Resolver {
@@ -29,6 +42,9 @@ pub(crate) struct Resolver {
     slipped_rad: f64,
     /// Angle of another motor's shaft that is shown instead, rad.
     foreign_rad: Option<f64>,
+    /// Error that repeats with every turn, and its phases, rad.
+    periodic: ResolverError,
+    phases_rad: [f64; 2],
     /// Noise amplitude of a resolver without a fault, and present noise, rad.
     noise_rad: f64,
     error_rad: f64,
@@ -45,10 +61,39 @@ impl Resolver {
             shown_rad: 0.0,
             slipped_rad: 0.0,
             foreign_rad: None,
+            periodic: ResolverError::default(),
+            phases_rad: [0.0; 2],
             noise_rad,
             error_rad: 0.0,
             random: Random::new(seed),
         }
+    }
+
+    /// This resolver with an error that repeats with every turn; the seed gives its phases.
+    pub(crate) fn with_error(self, periodic: ResolverError, seed: u64) -> Self {
+        let mut random = Random::new(seed ^ PHASE_SEED);
+        Self {
+            periodic,
+            phases_rad: [random.unit() * TAU, random.unit() * TAU],
+            ..self
+        }
+    }
+
+    /// Error that repeats with every turn at this angle, rad.
+    fn periodic_rad(&self, angle_rad: f64) -> f64 {
+        let ResolverError { once_rad, twice_rad } = self.periodic;
+        if once_rad == 0.0 && twice_rad == 0.0 {
+            return 0.0;
+        }
+        let [once, twice] = self.phases_rad;
+        once_rad * (angle_rad + once).sin() + twice_rad * (2.0 * angle_rad + twice).sin()
+    }
+
+    /// Speed that the resolver shows for a speed of 1 rad/s at this angle.
+    pub(crate) fn speed_share(&self, angle_rad: f64) -> f64 {
+        let ResolverError { once_rad, twice_rad } = self.periodic;
+        let [once, twice] = self.phases_rad;
+        1.0 + once_rad * (angle_rad + once).cos() + 2.0 * twice_rad * (2.0 * angle_rad + twice).cos()
     }
 
     /// Sets a fault for some milliseconds; 0 repairs the resolver, including its mounting angle.
@@ -95,6 +140,7 @@ impl Resolver {
     /// The angle shown while the motor is at `motor_rad`, rad.
     pub(crate) fn shown_rad(&self, motor_rad: f64) -> f64 {
         let own_rad = self.foreign_rad.unwrap_or(motor_rad) + self.slipped_rad;
+        let own_rad = own_rad + self.periodic_rad(own_rad);
         let moved_rad = motor_rad - self.motor_rad;
         let shown_rad = match self.fault {
             Some(ResolverFault::Stuck) => return self.shown_rad,
@@ -137,6 +183,34 @@ mod tests {
         assert_eq!(shown(&resolver, 3.0), 3000.0);
         resolver.show_foreign(Some(7.0));
         assert_eq!(shown(&resolver, 3.0), 7000.0);
+    }
+
+    #[test]
+    fn a_periodic_error_has_its_amplitudes_and_repeats_with_every_turn() {
+        let periodic = ResolverError {
+            once_rad: 2.9e-3,
+            twice_rad: 0.9e-3,
+        };
+        let resolver = Resolver::new(0.0, 1).with_error(periodic, 7);
+        let error = |angle_rad: f64| resolver.shown_rad(angle_rad) - angle_rad;
+        // Fourier sums over one turn: amplitude of the first five harmonics.
+        let steps = 360;
+        for (harmonic, expected) in [(0.0, 0.0), (1.0, 2.9e-3), (2.0, 0.9e-3), (3.0, 0.0), (4.0, 0.0)] {
+            let sum = |of: fn(f64) -> f64| -> f64 {
+                let angles = (0..steps).map(|step| f64::from(step) * TAU / f64::from(steps));
+                angles.map(|angle| error(angle) * of(harmonic * angle)).sum::<f64>() * 2.0 / f64::from(steps)
+            };
+            let amplitude = sum(f64::sin).hypot(sum(f64::cos));
+            assert!((amplitude - expected).abs() < 1e-9, "harmonic {harmonic}: {amplitude}");
+        }
+        assert!((error(1.0) - error(1.0 + 3.0 * TAU)).abs() < 1e-12);
+        let slope = (resolver.shown_rad(1.0 + 1e-6) - resolver.shown_rad(1.0 - 1e-6)) / 2e-6;
+        assert!((resolver.speed_share(1.0) - slope).abs() < 1e-8);
+        let other = Resolver::new(0.0, 1).with_error(periodic, 8);
+        assert!(
+            (other.shown_rad(1.0) - resolver.shown_rad(1.0)).abs() > 1e-5,
+            "another phase"
+        );
     }
 
     #[test]

@@ -1,9 +1,10 @@
 //! The part common to all servo drives: a drive, and the delays of its inputs and outputs.
 //!
-//! A command takes effect `output_delay` milliseconds after it arrived on the bus. A position appears on the bus
-//! `input_delay` milliseconds after it was measured.
+//! A command takes effect `output_delay` milliseconds after it arrived on the bus, or one later in a random share of the
+//! cycles. A position appears on the bus `input_delay` milliseconds after it was measured.
 
 use crate::drive::{Demand, Drive, DriveOptions};
+use crate::random::Random;
 use std::collections::VecDeque;
 
 /// Longest delay between bus and motor, ms.
@@ -38,14 +39,27 @@ pub(crate) struct Servo {
     samples: VecDeque<DriveValues>,
     output_delay: usize,
     input_delay: usize,
+    /// Share of the cycles in which a command is one millisecond late.
+    late_share: f64,
+    /// The command before the one in effect.
+    previous: Demand,
+    random: Random,
 }
+
+/// Gives late commands random numbers of their own.
+const LATE_SEED: u64 = 0x1A7E;
 
 impl Servo {
     /// A drive behind delays of whole milliseconds; the seed is that of its resolver's noise.
     pub(crate) fn new(options: &DriveOptions, noise_seed: u64) -> Self {
         let output_delay = options.output_delay_ms.min(DELAY_MAX_MS);
         let input_delay = options.input_delay_ms.min(DELAY_MAX_MS);
-        Self::of(Drive::new(options, noise_seed), output_delay, input_delay)
+        let servo = Self::of(Drive::new(options, noise_seed), output_delay, input_delay);
+        Self {
+            late_share: options.late_share,
+            random: Random::new(noise_seed ^ LATE_SEED),
+            ..servo
+        }
     }
 
     fn of(drive: Drive, output_delay: usize, input_delay: usize) -> Self {
@@ -57,6 +71,9 @@ impl Servo {
             samples: VecDeque::new(),
             output_delay,
             input_delay,
+            late_share: 0.0,
+            previous: Demand::default(),
+            random: Random::new(0),
         }
     }
 
@@ -64,23 +81,40 @@ impl Servo {
     pub(crate) fn power_up(&mut self) {
         let mut drive = self.drive.clone();
         drive.power_up();
-        *self = Self::of(drive, self.output_delay, self.input_delay);
+        *self = Self {
+            late_share: self.late_share,
+            random: self.random.clone(),
+            ..Self::of(drive, self.output_delay, self.input_delay)
+        };
     }
 
     /// Advances by one millisecond; `operational` if the outputs are valid.
     pub(crate) fn step(&mut self, operational: bool) {
         let demand = if operational {
             self.demands.push_back(self.demand);
-            if self.demands.len() > self.output_delay {
-                Some(self.demands.pop_front().unwrap_or_default())
+            let demand = if self.demands.len() > self.output_delay {
+                self.demands.pop_front().unwrap_or_default()
             } else {
-                Some(Demand::default())
-            }
+                Demand::default()
+            };
+            Some(self.delayed(demand))
         } else {
             self.demands.clear();
             None
         };
         self.drive.step(demand);
+    }
+
+    /// The demand in effect: this one, or the previous one if this one is late.
+    fn delayed(&mut self, demand: Demand) -> Demand {
+        if self.late_share <= 0.0 {
+            return demand;
+        }
+        let previous = core::mem::replace(&mut self.previous, demand);
+        match self.random.unit() < self.late_share {
+            true => previous,
+            false => demand,
+        }
     }
 
     /// Advances by one millisecond with the processor stopped.
@@ -122,5 +156,37 @@ impl Servo {
     pub(crate) fn take_emergency(&mut self) -> Option<Emergency> {
         let code = self.drive.take_emergency()?;
         Some((code, self.error_register(), [0; 5]))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_share_of_the_commands_is_one_millisecond_late_and_the_seed_repeats_which() {
+        let delayed = |late_share: f64, seed: u64| -> Vec<i32> {
+            let options = DriveOptions {
+                late_share,
+                ..DriveOptions::default()
+            };
+            let mut servo = Servo::new(&options, seed);
+            let demands = (1..=10_000).map(|velocity_digits| {
+                let demand = Demand {
+                    velocity_digits,
+                    ..Demand::default()
+                };
+                velocity_digits - servo.delayed(demand).velocity_digits
+            });
+            demands.collect()
+        };
+        assert!(delayed(0.0, 1).iter().all(|late| *late == 0));
+        let late = delayed(0.05, 1);
+        assert!(late.iter().all(|late| *late == 0 || *late == 1));
+        let count: i32 = late.iter().sum();
+        // Three standard deviations of a binomial distribution are 65.
+        assert!((count - 500).abs() < 66, "{count}");
+        assert_eq!(late, delayed(0.05, 1));
+        assert_ne!(late, delayed(0.05, 2));
     }
 }

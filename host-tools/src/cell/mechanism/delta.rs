@@ -5,6 +5,7 @@
 //! platform. Masses are plausible for an IRB 340, not measured.
 
 use super::{Equation, MainAxes, combine};
+use crate::cell::calibration::TrueDelta;
 use etherpen::config::Geometry;
 use etherpen::robots::{AXES, JointAngles, Kinematics, MAIN_AXES, Position};
 
@@ -24,7 +25,10 @@ const CURVATURE_STEP_S: f64 = 1e-4;
 #[derive(Clone, Debug)]
 pub(in crate::cell) struct Delta {
     kinematics: Option<Kinematics>,
+    /// The true dimensions, where they differ from the configured ones.
+    differing: Option<TrueDelta>,
     upper_arm_m: f64,
+    payload_kg: f64,
     ranges_rad: [[f64; 2]; ARMS],
 }
 
@@ -32,13 +36,27 @@ impl Delta {
     pub(super) fn new(geometry: &Geometry) -> Self {
         Self {
             kinematics: Kinematics::new(geometry).ok(),
+            differing: None,
+            payload_kg: 0.0,
             upper_arm_m: geometry.upper_arm_mm / 1000.0,
             ranges_rad: geometry.ranges_rad(),
         }
     }
 
+    /// This robot with a load at its platform, and with other dimensions than the configured ones.
+    pub(super) fn with(self, payload_kg: f64, differing: Option<TrueDelta>) -> Self {
+        Self {
+            payload_kg,
+            differing,
+            ..self
+        }
+    }
+
     pub(super) fn platform(&self, joints: &JointAngles) -> Option<Position> {
-        self.kinematics.as_ref()?.forward(joints).ok()
+        match &self.differing {
+            Some(differing) => differing.forward(joints),
+            None => self.kinematics.as_ref()?.forward(joints).ok(),
+        }
     }
 
     pub(super) fn end_stops_rad(&self) -> [[f64; 2]; ARMS] {
@@ -50,7 +68,7 @@ impl Delta {
         let arm_m = self.upper_arm_m;
         let own = (ARM_KG / 3.0 + FOREARM_KG / 2.0) * arm_m * arm_m;
         let moment = (ARM_KG / 2.0 + FOREARM_KG / 2.0) * arm_m * GRAVITY_M_S2;
-        let mass_kg = PLATFORM_KG + 3.0 * FOREARM_KG / 2.0;
+        let mass_kg = PLATFORM_KG + 3.0 * FOREARM_KG / 2.0 + self.payload_kg;
         let (jacobian, [cx, cy, cz]) = self.jacobian(angles, speeds).unwrap_or_default();
         let mut equation = Equation {
             inertia: [[0.0; ARMS]; ARMS],
@@ -108,6 +126,8 @@ impl Delta {
 mod tests {
     use super::*;
     use crate::cell::dynamics::Dynamics;
+    use crate::cell::mechanism::Mechanism;
+    use crate::cell::physics::Friction;
 
     const ANGLES: MainAxes = [0.3, 0.5, 0.4];
 
@@ -128,7 +148,7 @@ mod tests {
 
     #[test]
     fn arms_without_torque_fall_and_their_weight_holds_them() {
-        let dynamics = Dynamics::new(&Geometry::default(), 0.3);
+        let dynamics = Dynamics::new(Mechanism::new(&Geometry::default()), Friction::default());
         let rotor = [0.03; MAIN_AXES];
         let falling = dynamics.accelerations(ANGLES, [0.0; 3], [Some(0.0); 3], [0.0; 3], rotor);
         assert!(
@@ -141,8 +161,34 @@ mod tests {
     }
 
     #[test]
+    fn a_payload_loads_the_arms_as_virtual_work_says() {
+        // Torques that hold the arms, without and with 1 kg, from the gradient of the potential energy of uniform rods.
+        let poses = [
+            ([0.0, 0.0, -850.0], [3.975, 3.975, 3.975], [5.358, 5.358, 5.358]),
+            ([200.0, 0.0, -850.0], [5.410, 2.904, 2.904], [7.733, 3.721, 3.721]),
+            ([0.0, 200.0, -850.0], [3.829, 5.221, 2.174], [5.185, 7.421, 2.561]),
+            ([-250.0, -350.0, -800.0], [0.982, 1.765, 6.564], [0.925, 2.168, 9.744]),
+        ];
+        let geometry = Geometry::default();
+        let kinematics = Kinematics::new(&geometry).expect("valid");
+        for ([x_mm, y_mm, z_mm], empty, loaded) in poses {
+            let angles = kinematics.inverse(&Position { x_mm, y_mm, z_mm }).expect("reachable");
+            for (payload_kg, expected) in [(0.0, empty), (1.0, loaded)] {
+                let delta = Delta::new(&geometry).with(payload_kg, None);
+                let weight_nm = delta.equation(angles, [0.0; ARMS], [0.0; ARMS]).weight_nm;
+                for (weight_nm, expected) in weight_nm.iter().zip(expected) {
+                    assert!(
+                        (weight_nm - expected).abs() < 2e-3,
+                        "{x_mm} {y_mm} {z_mm}: {weight_nm} N m"
+                    );
+                }
+            }
+        }
+    }
+
+    #[test]
     fn work_of_torque_and_weight_becomes_kinetic_energy_and_friction() {
-        let dynamics = Dynamics::new(&Geometry::default(), 0.3);
+        let dynamics = Dynamics::new(Mechanism::new(&Geometry::default()), Friction::default());
         let delta = Delta::new(&Geometry::default());
         let rotor = [0.03; MAIN_AXES];
         let (mut angles, mut speeds) = (ANGLES, [0.0; MAIN_AXES]);

@@ -4,6 +4,7 @@
 
 mod delta;
 
+use super::calibration::TrueDelta;
 use delta::Delta;
 use etherpen::config::Geometry;
 use etherpen::robots::{JointAngles, MAIN_AXES, Position};
@@ -33,6 +34,13 @@ impl Mechanism {
     /// The mechanism of these dimensions.
     pub(super) fn new(geometry: &Geometry) -> Self {
         Self::Delta(Delta::new(geometry))
+    }
+
+    /// This mechanism with a load at its tool, kg, and with other dimensions than the configured ones.
+    pub(super) fn with(self, payload_kg: f64, differing: Option<TrueDelta>) -> Self {
+        match self {
+            Self::Delta(delta) => Self::Delta(delta.with(payload_kg, differing)),
+        }
     }
 
     /// Position of the tool; `None` if the links do not meet.
