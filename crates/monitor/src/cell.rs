@@ -141,7 +141,7 @@ pub struct Cell {
     /// loop of their own; motors in torque mode need 0.15.
     pub overshoot_part: f64,
     /// Share of a drawing's lines that may be without ink. In torque mode the pen's spring does not always reach the
-    /// paper: 0.01 (`tests/drives.rs`).
+    /// paper: 0.01 (`tests/drives.rs`). If it is above 0, strokes shorter than half a millimetre are not judged.
     pub ink_missing_part: f64,
     /// Largest deviation from the path that is promised while an axis's feedback is not true, mm.
     pub disturbed_mm: f64,

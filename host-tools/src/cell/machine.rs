@@ -10,7 +10,7 @@ use super::physics::{LoopKind, Physics};
 use super::robot::Robot;
 use super::vibration::Vibration;
 use etherpen::config::Config;
-use etherpen::robots::{AXES, JointAngles, JointVelocities};
+use etherpen::robots::{AXES, JointAngles};
 use etherpen_segment::{Load, Shaft};
 
 /// Motion of the joints that only have a torque.

@@ -287,7 +287,7 @@ impl Drawing {
     }
 
     /// The first place of a leg with the pen down that has no ink within a distance, if more than a share of all places
-    /// has none.
+    /// has none; where that share is above 0, dots are not judged.
     pub(crate) fn missing(&self, distance_mm: f64, part_max: f64) -> Option<Vector> {
         if self.was_disturbed || self.is_too_much {
             return None;
@@ -298,6 +298,10 @@ impl Drawing {
             let length_mm = (leg.to[0] - leg.from[0]).hypot(leg.to[1] - leg.from[1]);
             // A leg that is too long for the grid is too long for the sheet.
             if length_mm.is_nan() || length_mm >= LONG_HALF_CELLS * 0.5 * CELL_MM {
+                continue;
+            }
+            // Where a share may be missing, a dot may be.
+            if part_max > 0.0 && length_mm < STEP_MM {
                 continue;
             }
             let steps = (length_mm / STEP_MM).ceil().max(1.0);
@@ -313,12 +317,7 @@ impl Drawing {
                 }
             }
         }
-        // A share of a short drawing is less than a dot: lowering the pen, and a leg of no length, are four places.
-        let missing_max = match part_max > 0.0 {
-            true => (part_max * f64::from(places)).max(4.0),
-            false => 0.0,
-        };
-        first.filter(|_| f64::from(missing) > missing_max)
+        first.filter(|_| f64::from(missing) > part_max * f64::from(places))
     }
 }
 
