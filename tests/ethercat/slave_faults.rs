@@ -337,6 +337,39 @@ fn slaves_and_cables_that_go_and_come_are_noticed_in_time_and_taken_back() {
 }
 
 #[test]
+fn a_slave_that_is_replaced_during_repairs_while_those_behind_it_are_away_takes_its_own_place() {
+    for away in [Fault::Cut(2), Fault::Remove(3), Fault::Remove(4)] {
+        for delay_ms in (4..160).step_by(16) {
+            let what = format!("{away:?}, {delay_ms} ms");
+            let mut rig = rig("");
+            rig.operational();
+            rig.run_ms(50);
+            for fault in [
+                away,
+                Fault::Power(3, 50),
+                Fault::Power(4, 50),
+                Fault::Swap(2, Product::Cia402),
+            ] {
+                rig.cell.inject(fault);
+            }
+            rig.run_ms(300);
+            rig.recover();
+            rig.run_ms(delay_ms);
+            rig.cell.inject(Fault::Swap(2, Product::Ax2000));
+            rig.run_ms(300);
+            for end in [Fault::Join, Fault::Insert(3), Fault::Insert(4)] {
+                rig.cell.inject(end);
+            }
+            for _ in 0..5 {
+                rig.recover();
+                rig.run_ms(700);
+            }
+            assert_well(&mut rig, &what);
+        }
+    }
+}
+
+#[test]
 fn another_product_in_a_slaves_place_is_refused_until_the_right_one_is_back() {
     for product in [Product::Cia402, Product::Ek1100] {
         let mut rig = rig("");

@@ -16,6 +16,8 @@ use std::collections::VecDeque;
 /// Port bits of the data-link status: towards the master, and away from it.
 const PORT_IN: u8 = 0x01;
 const PORT_OUT: u8 = 0x02;
+/// Serial number of a slave that has replaced the one at a place, less the place.
+const SWAPPED_SERIAL: u32 = 1_000;
 /// A frame with a local experimental EtherType, as another station might send it.
 const FOREIGN_FRAME: [u8; 60] = {
     let mut frame = [0; 60];
@@ -171,7 +173,10 @@ impl Chain {
                 let cable = self.damaging.iter_mut().skip(cable).take(1);
                 cable.for_each(|left| *left = left.saturating_add(frames));
             }
-            Fault::Swap(slave, product) => self.with(slave, |slave| slave.swap(product)),
+            Fault::Swap(slave, product) => {
+                let serial = SWAPPED_SERIAL.saturating_add(u32::try_from(slave).unwrap_or_default());
+                self.with(slave, |slave| slave.swap(product, serial));
+            }
             Fault::Refuse(slave, state, code) => self.with(slave, |slave| slave.refuse(state, code)),
             Fault::Processor(slave, ms) => self.with(slave, |slave| slave.hang(ms)),
             Fault::Sii(slave, fault) => self.with(slave, |slave| slave.set_sii_fault(fault)),

@@ -17,8 +17,6 @@ use crate::mailbox::objects::Objects;
 use crate::mailbox::process_data::ProcessData;
 use etherpen_ethercat::wire::sii::MailboxWindow;
 
-/// Serial number of a slave that has replaced another.
-const SWAPPED_SERIAL: u32 = 1000;
 const MAILBOX_OUT_MANAGER: usize = 0;
 const MAILBOX_IN_MANAGER: usize = 1;
 /// How long the drive's power stage keeps running without its processor, ms; then it stops the motor.
@@ -106,8 +104,8 @@ impl Slave {
         self.device.servo_mut().map(|servo| &mut servo.drive)
     }
 
-    /// Replaces the slave by another product, after power-up; a motor keeps its position.
-    pub(crate) fn swap(&mut self, product: Product) {
+    /// Replaces the slave by another product with this serial number, after power-up; a motor keeps its position.
+    pub(crate) fn swap(&mut self, product: Product, serial: u32) {
         let kind = match product {
             Product::Ax2000 => SlaveKind::Ax2000,
             Product::Cia402 => SlaveKind::Cia402,
@@ -118,7 +116,7 @@ impl Slave {
         if servo.is_none() && kind.is_drive() {
             servo = Some(Servo::new(&DriveOptions::default(), 0));
         }
-        *self = Self::new(kind.device(servo, SWAPPED_SERIAL), self.width, self.nature);
+        *self = Self::new(kind.device(servo, serial), self.width, self.nature);
     }
 
     /// Refuses the next request for a state.

@@ -84,24 +84,20 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let at = |step| Failure::of(slave.position, step);
         let strangers = self.strangers_between(number, places);
         let missing = self.missing_between(number, places);
-        // If as many strangers as missing slaves are found, the order identifies them; otherwise only their identity
-        // does.
-        let by_order = (strangers.len() == missing.len())
-            .then(|| missing.iter().position(|missing| usize::from(*missing) == number))
-            .flatten();
+        let by_order = self.rank_among(&strangers, &missing, number, places);
         let mut other = None;
         for (rank, place) in strangers.iter().enumerate() {
-            if by_order.is_some_and(|wanted| wanted != rank) {
-                continue;
-            }
+            let is_its_place = by_order.is_none_or(|wanted| wanted == rank);
+            let is_known = is_its_place && (by_order.is_some() || self.is_only_one(&slave, &missing));
             let fixed = self.fixed_at(*place).await.map_err(at(Step::Identify))?;
             match self.is_same(&slave, &fixed.identity) {
-                Ok(()) => {
+                Ok(()) if is_known || has_serial_of(&slave, &fixed.identity) => {
                     return discovery::assign_station(&mut self.port, *place, slave.station())
                         .await
                         .map_err(at(Step::Address));
                 }
-                Err(error) => other = Some(error),
+                Err(error) if is_its_place => other = Some(error),
+                _ => {}
             }
         }
         match other {
@@ -111,6 +107,26 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 actual: places.len() as u16,
             })),
         }
+    }
+
+    /// Which of the strangers a missing slave is, if their order in the chain tells: as many strangers as missing slaves
+    /// are found, or fewer at the end of the chain, which then is cut behind them.
+    fn rank_among(&self, strangers: &[u16], missing: &[u8], number: usize, places: &Places) -> Option<usize> {
+        let goes_on = places
+            .iter()
+            .any(|there| self.rank_of(*there).is_some_and(|there| there > number));
+        let is_cut = strangers.len() < missing.len() && !goes_on;
+        let rank = missing.iter().position(|missing| usize::from(*missing) == number);
+        rank.filter(|_| strangers.len() == missing.len() || is_cut)
+    }
+
+    /// Whether no other missing slave is of a slave's product.
+    fn is_only_one(&self, slave: &Slave<F>, missing: &[u8]) -> bool {
+        let product = |slave: &Slave<F>| (slave.identity().vendor, slave.identity().product);
+        let missing = missing
+            .iter()
+            .filter_map(|number| self.slaves.get(usize::from(*number)));
+        missing.filter(|missing| product(missing) == product(slave)).count() <= 1
     }
 
     /// Index of the slave at `station` among those whose order in the chain is known. Extra slaves may be anywhere in
@@ -216,4 +232,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             None => Ok(()),
         }
     }
+}
+
+/// Whether an identity has a slave's own serial number.
+fn has_serial_of<F: SlaveFactory>(slave: &Slave<F>, identity: &Identity) -> bool {
+    identity.serial != 0 && identity.serial == slave.identity().serial
 }
