@@ -30,7 +30,8 @@ pub(crate) fn from_degrees(degrees: f64) -> Interval {
 
 /// Cosine and sine of an angle; no bounds for more than about half a turn.
 pub(crate) fn cosine_and_sine(angle: Interval) -> [Interval; 2] {
-    if !(angle.magnitude() <= ANGLE_MAX_RAD) {
+    let small = angle.magnitude() <= ANGLE_MAX_RAD;
+    if !small {
         return [Interval::ENTIRE; 2];
     }
     let mut sums = [Interval::ZERO; 2];
@@ -55,7 +56,8 @@ pub(crate) fn of_unit(cosine: Interval, sine: Interval) -> Interval {
     let [c, s] = cosine_and_sine(Interval::point(near));
     // Sine and cosine of the difference between the angle and `near`.
     let (across, along) = (sine * c - cosine * s, cosine * c + sine * s);
-    if !(along.low() > 0.5) {
+    let near_enough = along.low() > 0.5;
+    if !near_enough {
         return Interval::ENTIRE;
     }
     // Up to a third of a turn, an angle is less than 1.25 times its sine.

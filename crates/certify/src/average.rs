@@ -56,7 +56,8 @@ pub(crate) fn addition_mm(window_ms: u16, rates: &Rates, jumps: &Jumps, links_mm
     let apart = joint_acceleration * share + 0.25 * window_s * jumps.joints;
     let double = 2.0 * inverse;
     let steepest = double * last * first;
-    if !(inverse * root * (steepest + first) * apart <= 0.5) {
+    let at_most_doubles = inverse * root * (steepest + first) * apart <= 0.5;
+    if !at_most_doubles {
         return f64::INFINITY;
     }
     let curvature = double * root * (last * first + (steepest + first) * (steepest + first));

@@ -232,7 +232,8 @@ impl Certifier {
         for (quantity, value, most, limit) in checks {
             self.certificate
                 .note(quantity, [value.mignitude() / limit, value.magnitude() / limit]);
-            if !(value.magnitude() <= most) {
+            let keeps = value.magnitude() <= most;
+            if !keeps {
                 let kind = if value.mignitude() > most {
                     Kind::Violated
                 } else {
@@ -286,7 +287,8 @@ impl Certifier {
                 Quantity::AveragedTolerance,
                 [(least - added).max(0.0) / limit, (most + added) / limit],
             );
-            if !(most + added <= limit * (1.0 + self.limits.excess)) {
+            let keeps = most + added <= limit * (1.0 + self.limits.excess);
+            if !keeps {
                 certificate.refuse(Refusal {
                     kind: Kind::NotProved,
                     quantity: Quantity::AveragedTolerance,

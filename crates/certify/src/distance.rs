@@ -134,15 +134,16 @@ pub(crate) fn distance(stretch: &Stretch, path: &[[f64; 3]], limit: f64) -> Dist
         }
         let tight = most - point[0] <= LOOSE * limit || most <= SMALL * limit;
         let last = !point[1].is_finite() || depth >= DEPTH_MAX || result.boxes + boxes.len() >= BOXES_MAX;
+        let keeps = most <= limit;
         if point[0] > limit {
             result
                 .refused
                 .get_or_insert((at, Kind::Violated, Interval::between(point[0], point[1])));
-        } else if !(most <= limit && tight) && !last {
+        } else if !(last || keeps && tight) {
             boxes.push((from, at, depth + 1));
             boxes.push((at, to, depth + 1));
             continue;
-        } else if !(most <= limit) {
+        } else if !keeps {
             result
                 .refused
                 .get_or_insert((at, Kind::NotProved, Interval::between(point[0], most)));

@@ -5,7 +5,7 @@
 //! G(u) is the distance at the time t. So nothing of the planner's motion is neglected.
 
 use crate::interval::Interval;
-use crate::series::{Series, Series3, TERMS, squared_length};
+use crate::series::{Series, Series3, squared_length};
 
 /// Coefficients of a curve.
 pub const COEFFICIENTS: usize = 6;
@@ -75,9 +75,9 @@ pub(crate) struct Kinetics {
 /// Point and first derivative of a curve as series at a parameter.
 pub(crate) fn curve(coefficients: &[[f64; 3]; COEFFICIENTS], parameter: Interval) -> (Series3, Series3) {
     let mut point = [Series::ZERO; 3];
-    for axis in 0..3 {
-        for order in 0..COEFFICIENTS.min(TERMS) {
-            point[axis].0[order] = shifted(coefficients, axis, order, parameter);
+    for (axis, series) in point.iter_mut().enumerate() {
+        for (order, place) in series.0.iter_mut().enumerate().take(COEFFICIENTS) {
+            *place = shifted(coefficients, axis, order, parameter);
         }
     }
     (point, first(coefficients, parameter))

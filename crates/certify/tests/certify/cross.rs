@@ -53,7 +53,7 @@ fn joints_move_as_in_the_planners_kinematics() {
         let end = [0, 1, 2].map(|axis| at[axis] + unit[axis]);
         let moved = straight(at, unit, speed, acceleration, 1.0e-8);
         let found = certificate(&settings, &[at, end], &[moved]);
-        for axis in 0..3 {
+        for (axis, angle) in angles.into_iter().enumerate() {
             let number = axis as u8 + 1;
             let close = |quantity, expected: f64| {
                 let used = found.uses[&quantity];
@@ -67,10 +67,7 @@ fn joints_move_as_in_the_planners_kinematics() {
                 );
             };
             let [low, high] = settings.geometry.ranges_rad()[axis];
-            close(
-                Quantity::Angle(number),
-                (2.0 * angles[axis] - low - high).abs() / (high - low),
-            );
+            close(Quantity::Angle(number), (2.0 * angle - low - high).abs() / (high - low));
             let motion = &settings.motion;
             close(
                 Quantity::JointSpeed(number),
