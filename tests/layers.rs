@@ -10,8 +10,9 @@ fn findings(folder: &str, table: &str) -> Vec<String> {
 }
 
 /// Folders of sources, and the texts with their layers.
-const CRATES: [(&str, &str); 6] = [
+const CRATES: [(&str, &str); 7] = [
     ("src", include_str!("../src/lib.rs")),
+    ("crates/certify/src", include_str!("../crates/certify/src/lib.rs")),
     ("crates/drives/src", include_str!("../crates/drives/src/lib.rs")),
     ("crates/ethercat/src", include_str!("../crates/ethercat/src/lib.rs")),
     ("crates/link/src", include_str!("../crates/link/src/lib.rs")),

@@ -23,10 +23,12 @@ const KINDS: [Kind; 1] = [Kind {
     name: "delta",
     words: &["delta", "deltas", "arm", "arms", "forearm", "forearms"],
     own: &[
+        "crates/certify/src/robot/delta.rs",
         "crates/monitor/src/robot/delta.rs",
         "crates/motion/src/robots/delta/",
         "host-tools/src/campaign/robot/delta.rs",
         "host-tools/src/cell/mechanism/delta.rs",
+        "host-tools/src/planning/dimensions.rs",
         "host-tools/assets/console/robot_delta.js",
     ],
 }];
@@ -35,7 +37,8 @@ const KINDS: [Kind; 1] = [Kind {
 const CHECK: &str = "tests/robots.rs";
 
 /// Files that choose a kind, and may name it, but none of its parts.
-const SEAMS: [&str; 6] = [
+const SEAMS: [&str; 7] = [
+    "crates/certify/src/robot/mod.rs",
     "crates/monitor/src/robot/mod.rs",
     "crates/motion/src/robots/mod.rs",
     "host-tools/src/campaign/robot/mod.rs",

@@ -97,6 +97,11 @@ impl Curve {
         curve
     }
 
+    /// Coefficients by powers of the parameter, mm.
+    pub(crate) fn coefficients(&self) -> &[Vector; COEFFICIENTS] {
+        &self.coefficients
+    }
+
     /// Whether the curve is a line.
     pub(crate) fn is_straight(&self) -> bool {
         self.coefficients

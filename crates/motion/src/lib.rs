@@ -4,7 +4,7 @@
 //!
 //! A module imports modules of lower layers only.
 //!
-//! 1. `bounds`, `ring`: bounds of a value; a ring buffer
+//! 1. `bounds`, `ring`, `committed`: bounds of a value; a ring buffer; the executed motion for other programs
 //! 2. `robots`: kinds of robots and their kinematics
 //! 3. `settings`, `curve`: settings of motion; lines and blends
 //! 4. `limits`, `work_area`, `shaping`: limits along a path; the space that a robot may use; the polyline with rounded
@@ -25,6 +25,7 @@ mod averaging;
 mod bounds;
 #[cfg(test)]
 mod checks;
+mod committed;
 mod curve;
 mod grid;
 mod heading;
@@ -47,6 +48,7 @@ mod trajectory;
 mod work_area;
 
 pub use admission::{Admission, LEG_CHECK_MM, LEG_MIN_MM};
+pub use committed::{Observer, Passage};
 pub use outline::{Outline, Section, Station};
 pub use settings::Settings;
 pub use trajectory::{QUEUE_VERTICES, Trajectory};

@@ -136,6 +136,21 @@ impl Stretch {
         self.end_squared
     }
 
+    /// Place at which the motion begins, mm from the origin of the stretches.
+    pub(crate) fn start_mm(&self) -> f64 {
+        self.start_mm
+    }
+
+    /// Speed at the beginning, mm/s.
+    pub(crate) fn speed(&self) -> f64 {
+        self.speed
+    }
+
+    /// Time since the beginning, s.
+    pub(crate) fn elapsed_s(&self) -> f64 {
+        self.elapsed_s
+    }
+
     /// Acceleration, mm/s2.
     pub(crate) fn acceleration(&self) -> f64 {
         self.acceleration

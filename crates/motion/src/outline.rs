@@ -3,10 +3,10 @@
 //! Tools that compare the planner with others need the curve itself. The curve comes from the trajectory stage's
 //! shaping, leg by leg, in bounded memory.
 
+use super::Vertex;
 use super::averaging::tolerances;
 use super::ring::Ring;
 use super::shaping::{Node, PIECES_PER_LEG, Piece, QUEUE, Shaper};
-use super::{Pen, Vertex};
 use crate::robots::vector::{Vector, length};
 use crate::robots::{GeometryError, JointRows, Kinematics};
 use crate::settings::Settings;
@@ -110,7 +110,7 @@ impl Section {
 
     /// Whether any part of the section is drawn.
     pub fn is_drawn(&self) -> bool {
-        self.piece.entry.pen == Pen::Down || self.piece.exit.pen == Pen::Down
+        self.piece.drawn()
     }
 
     /// Geometry of the path at a parameter.
@@ -132,6 +132,7 @@ impl Section {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::Pen;
 
     #[test]
     fn the_sections_join_and_end_at_the_last_vertex() {

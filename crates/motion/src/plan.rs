@@ -10,7 +10,7 @@
 //! reached, and again when a stretch has lasted [`STRETCH_MAX_S`], the pace changes, or another speed is requested. A
 //! squared speed below [`REST_SQUARED`] counts as rest.
 
-use super::Pen;
+use super::committed::{Observer, Passage};
 use super::grid::{ARRIVED_MM, GridPoint, Span};
 use super::heading::{Course, NONE_RAD, Pause, Turning};
 use super::limits::Limits;
@@ -218,8 +218,7 @@ impl Plan {
     }
 
     fn grow_by_interval(&mut self, piece: &Piece) {
-        let drawn = piece.entry.pen == Pen::Down || piece.exit.pen == Pen::Down;
-        let nominal = self.limits.path_speed_squared(drawn);
+        let nominal = self.limits.path_speed_squared(piece.drawn());
         if self.points.last_mut().is_none_or(|last| last.stop) {
             self.depart(piece, nominal);
         }
@@ -395,7 +394,7 @@ impl Plan {
     }
 
     /// Advances by `dt_s` and returns the new position.
-    pub(crate) fn advance(&mut self, dt_s: f64, pace: Pace) -> PathSample {
+    pub(crate) fn advance(&mut self, dt_s: f64, pace: Pace, observer: &mut impl Observer) -> PathSample {
         if pace != self.pace {
             self.cut();
             self.pace = pace;
@@ -421,8 +420,13 @@ impl Plan {
                 }
                 continue;
             };
+            let from_s = stretch.elapsed_s();
             left_s = stretch.run(left_s);
             self.offset_mm = stretch.offset_mm();
+            let stretch = *stretch;
+            if let Some(passage) = self.passage(&stretch, from_s, left_s) {
+                observer.moved(&passage);
+            }
             if !stretch.complete() {
                 break;
             }
@@ -436,6 +440,28 @@ impl Plan {
         }
         self.forget_passed();
         self.sample()
+    }
+
+    /// What a stretch has executed since it was at `from_s`, with `left_s` left of the millisecond.
+    fn passage(&self, stretch: &Stretch, from_s: f64, left_s: f64) -> Option<Passage> {
+        let point = self.points.get(self.place)?;
+        let piece = self.pieces.get(point.span.piece)?;
+        Some(Passage {
+            coefficients: *piece.curve.coefficients(),
+            parameter: point.span.parameter,
+            length_mm: point.span.length_mm,
+            start_mm: stretch.start_mm(),
+            speed_mm_s: stretch.speed(),
+            acceleration_mm_s2: stretch.acceleration(),
+            time_s: [from_s, stretch.elapsed_s()],
+            left_s,
+            heading_rad: point.span.heading,
+            turn_rad_mm: point.row.turn,
+            turn_change_rad_mm2: point.span.turn_change,
+            drawn: piece.drawn(),
+            lifts: point.span.lifts,
+            vertex: piece.entry.vertex,
+        })
     }
 
     /// Moves to the next point where the end of the interval is reached.

@@ -151,6 +151,11 @@ impl Piece {
         }
     }
 
+    /// Whether any part of this piece is drawn.
+    pub(crate) fn drawn(&self) -> bool {
+        self.entry.pen == Pen::Down || self.exit.pen == Pen::Down
+    }
+
     /// Whether the pen may be lifted or lowered on this piece.
     pub(crate) fn lifts(&self) -> bool {
         !(self.entry.pen == Pen::Down && self.exit.pen == Pen::Down)

@@ -9,6 +9,7 @@
 
 use super::admission::{LEG_MIN_MM, check_way_in};
 use super::averaging::{averaging, tolerances};
+use super::committed::Observer;
 use super::jog::{self, Jog};
 use super::limits::Limits;
 use super::micro_interpolator::{MicroInterpolator, PathSample, Profile, TICK_S};
@@ -215,12 +216,17 @@ impl Trajectory {
 
     /// The setpoints of the next 12 ms.
     pub fn step(&mut self) -> [Setpoint; PERIOD_MS] {
+        self.step_observed(&mut ())
+    }
+
+    /// The setpoints of the next 12 ms; the observer sees the motion on the path from which they are taken.
+    pub fn step_observed(&mut self, observer: &mut impl Observer) -> [Setpoint; PERIOD_MS] {
         if self.pose.is_none() {
             return self.interpolator.rest();
         }
         self.motion.feed();
-        let setpoints = self.interpolator.step(&mut self.motion);
         let motion = &mut self.motion;
+        let setpoints = self.interpolator.step(&mut Observed { motion, observer });
         motion.watch.step(&motion.here, motion.has_to_move());
         setpoints
     }
@@ -561,9 +567,9 @@ impl Motion {
         };
     }
 
-    fn follow(&mut self) -> PathSample {
+    fn follow(&mut self, observer: &mut impl Observer) -> PathSample {
         let before = self.here.point;
-        let sample = self.plan.advance(TICK_S, Pace::Go);
+        let sample = self.plan.advance(TICK_S, Pace::Go, observer);
         self.begun |= sample.point != before;
         if self.finished && self.is_empty() {
             self.here = sample;
@@ -574,15 +580,14 @@ impl Motion {
         }
         sample
     }
-}
 
-impl Profile for Motion {
-    fn next_millisecond(&mut self) -> PathSample {
+    fn next_millisecond(&mut self, observer: &mut impl Observer) -> PathSample {
+        observer.millisecond();
         let (sample, done) = match &mut self.activity {
             Activity::Rest | Activity::Parked { .. } => (self.here, false),
-            Activity::Path => (self.follow(), false),
+            Activity::Path => (self.follow(observer), false),
             Activity::Brake(_) => {
-                let sample = self.plan.advance(TICK_S, Pace::Brake);
+                let sample = self.plan.advance(TICK_S, Pace::Brake, observer);
                 (sample, self.plan.resting())
             }
             Activity::Lift(straight, _) | Activity::Lower(straight, _) | Activity::Move(straight) => {
@@ -604,5 +609,17 @@ impl Profile for Motion {
             }
         }
         sample
+    }
+}
+
+/// A motion, and who sees what is executed.
+struct Observed<'a, O> {
+    motion: &'a mut Motion,
+    observer: &'a mut O,
+}
+
+impl<O: Observer> Profile for Observed<'_, O> {
+    fn next_millisecond(&mut self) -> PathSample {
+        self.motion.next_millisecond(self.observer)
     }
 }

@@ -7,7 +7,7 @@ use crate::drawing::preparation::source::SourceArguments;
 use crate::error::ProgramError;
 use crate::output_file::OutputFile;
 use crate::output_file::{refuse_input, unwritable};
-use crate::planning::{Findings, Table, analyse};
+use crate::planning::{CertificateReport, Findings, Table, analyse, certify};
 use crate::terminal::counted;
 use etherpen::config::{Config, Orientation};
 use etherpen::robots::AXES;
@@ -17,6 +17,8 @@ use std::path::{Path, PathBuf};
 
 /// Longest moving average, ms.
 const JERK_WINDOW_MAX_MS: u16 = 32;
+/// The excess that the planner's own tests allow, [`crate::planning::EXCESS`], as text.
+const EXCESS_TEXT: &str = "0.001";
 /// Largest value of a limit: its square is still a number.
 const LIMIT_MAX: f64 = 1.0e12;
 
@@ -31,6 +33,10 @@ const LIMIT_MAX: f64 = 1.0e12;
 /// on every vertex, as its distance from the line through the references (less what a straight line between two of them
 /// leaves out). Both have to be within the tolerance. Speeds, accelerations and jerks are differences of the
 /// references; a value that exceeds its limit by more than a thousandth is a violation.
+///
+/// `--certify` also proves the limits at every moment between the references, with interval arithmetic and kinematics
+/// of its own: angles, speeds and accelerations before the moving average, the distance from the path before and after
+/// it. Every limit that is not proved is listed with a witness.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     /// CSV of coordinates, a photograph (PNG, JPEG) or vectors (SVG, G-code, HPGL).
@@ -41,6 +47,10 @@ pub struct Arguments {
     /// Write one row a millisecond: time, position, joint angles, joint speeds, pen.
     #[arg(long, value_name = "OUT.csv")]
     samples: Option<PathBuf>,
+    /// Prove the limits in continuous time. EXCESS is the part of a limit by which it may be exceeded.
+    #[arg(long, value_name = "EXCESS", num_args = 0..=1, require_equals = true, default_missing_value = EXCESS_TEXT,
+          value_parser = excess)]
+    certify: Option<f64>,
     #[command(flatten)]
     config: ConfigArguments,
     #[command(flatten)]
@@ -73,6 +83,13 @@ struct LimitArguments {
     /// Axis 4: follow the direction of the path, or keep its angle.
     #[arg(long, value_name = "WHAT", value_parser = ["path", "constant"])]
     orientation: Option<String>,
+}
+
+fn excess(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(value) if (0.0..=1.0).contains(&value) => Ok(value),
+        _ => Err("a number from 0 to 1 is needed".into()),
+    }
 }
 
 fn limit(text: &str) -> Result<f64, String> {
@@ -113,6 +130,9 @@ struct Answer {
     vertices_merged: usize,
     #[serde(flatten)]
     findings: Findings,
+    /// What is proved in continuous time.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    certificate: Option<CertificateReport>,
 }
 
 /// Runs the command.
@@ -131,11 +151,17 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let (path, vertices_merged) = read_path(&arguments.file, &config, &arguments.source)?;
     let mut table = arguments.samples.as_deref().map(begin).transpose()?;
     let mut failed = None;
-    let findings = analyse(&config, &path, |sample| {
+    let observe = |sample: &_| {
         if let Some(Err(cause)) = table.as_mut().map(|table| table.step(sample)) {
             failed.get_or_insert(cause);
         }
-    })
+    };
+    let (findings, certificate) = match arguments.certify {
+        Some(excess) => {
+            certify(&config, &path, excess, observe).map(|(findings, certificate)| (findings, Some(certificate)))
+        }
+        None => analyse(&config, &path, observe).map(|findings| (findings, None)),
+    }
     .map_err(|cause| unusable(&arguments.file, &cause))?;
     if let (Some(cause), Some(file)) = (
         failed.or_else(|| table.and_then(|table| table.finish().commit().err())),
@@ -147,6 +173,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         vertices: path.len() + vertices_merged,
         vertices_merged,
         findings,
+        certificate,
     };
     if arguments.json {
         return print_json(&answer);
@@ -215,7 +242,42 @@ fn shown(answer: &Answer) -> String {
         findings.deviation_max_mm,
         Some(limits.travel_tolerance_mm),
     );
-    text + &violations(findings)
+    text + &violations(findings) + &answer.certificate.as_ref().map_or(String::new(), proved)
+}
+
+/// The certificate as text.
+fn proved(certificate: &CertificateReport) -> String {
+    let axis = |axis: Option<u8>| axis.map_or(String::new(), |axis| format!(" of axis {axis}"));
+    let mut text = format!(
+        "\n{} in continuous time ({} of a limit over it allowed): {} stretches, {}, {} undecided\n",
+        if certificate.proved { "proved" } else { "not proved" },
+        figure(certificate.excess),
+        certificate.stretches,
+        counted(certificate.violations as u64, "violation"),
+        certificate.undecided
+    );
+    for used in &certificate.used {
+        let name = format!("{}{}", used.limit_of, axis(used.axis));
+        text.push_str(&format!(
+            "  {name:<30} uses {:.5} to {:.5} of its limit\n",
+            used.least, used.most
+        ));
+    }
+    for refused in certificate.refusals.iter().take(20) {
+        let [low, high] = refused.value.map(figure);
+        text.push_str(&format!(
+            "  {}: {}{} at {:.6} s, stretch {}, vertex {}: {low} to {high} {} over {}\n",
+            refused.kind,
+            refused.limit_of,
+            axis(refused.axis),
+            refused.t_s,
+            refused.stretch,
+            refused.vertex,
+            refused.unit,
+            figure(refused.limit)
+        ));
+    }
+    text
 }
 
 /// The violations of limits as text.

@@ -6,14 +6,18 @@
 //! Invariant: every run ends: at rest at the path's end, with a refusal, without progress, or after a day.
 
 mod analysis;
+mod certificate;
+mod dimensions;
 mod table;
 mod track;
 
 pub use analysis::{Analysis, Findings, Limits, Peaks, Violation};
+pub use certificate::{CertificateReport, EXCESS, Refused, UsedPart};
 pub use table::Table;
 
+use certificate::Witness;
 use etherpen::config::{Config, Orientation};
-use etherpen::motion::{MotionCommand, MotionRefusal, MotionState, Setpoint, Trajectory, Vertex};
+use etherpen::motion::{MotionCommand, MotionRefusal, MotionState, Observer, Setpoint, Trajectory, Vertex};
 use etherpen::robots::vector::{Vector, length, subtract};
 use etherpen::robots::{GeometryError, JointAngles, Kinematics, KinematicsError, MAIN_AXES};
 
@@ -113,10 +117,35 @@ impl std::error::Error for PlanningError {}
 pub fn analyse(
     config: &Config,
     path: &[Vertex],
+    observe: impl FnMut(&PlannedSample),
+) -> Result<Findings, PlanningError> {
+    analyse_observed(config, path, &mut (), observe)
+}
+
+/// Plans a path, compares the references with the limits, and proves the limits of the motion between them with the
+/// given excess (see [`EXCESS`]); `observe` gets every millisecond.
+///
+/// # Errors
+/// Why the path was not planned.
+pub fn certify(
+    config: &Config,
+    path: &[Vertex],
+    excess: f64,
+    observe: impl FnMut(&PlannedSample),
+) -> Result<(Findings, CertificateReport), PlanningError> {
+    let mut witness = Witness::new(config, path, excess)?;
+    let findings = analyse_observed(config, path, &mut witness, observe)?;
+    Ok((findings, witness.finish()))
+}
+
+fn analyse_observed(
+    config: &Config,
+    path: &[Vertex],
+    observer: &mut impl Observer,
     mut observe: impl FnMut(&PlannedSample),
 ) -> Result<Findings, PlanningError> {
     let mut analysis = None;
-    let run = plan(config, path, |sample, run| {
+    let run = plan_observed(config, path, observer, |sample, run| {
         analysis
             .get_or_insert_with(|| Analysis::new(config, path, run.jerk_window_ms))
             .observe(sample);
@@ -131,9 +160,14 @@ pub fn analyse(
 ///
 /// # Errors
 /// Why the path was not planned.
-pub fn plan(
+pub fn plan(config: &Config, path: &[Vertex], observe: impl FnMut(&PlannedSample, &Run)) -> Result<Run, PlanningError> {
+    plan_observed(config, path, &mut (), observe)
+}
+
+fn plan_observed(
     config: &Config,
     path: &[Vertex],
+    observer: &mut impl Observer,
     mut observe: impl FnMut(&PlannedSample, &Run),
 ) -> Result<Run, PlanningError> {
     let [first, _, ..] = path else {
@@ -171,7 +205,7 @@ pub fn plan(
                 .map_err(PlanningError::Command)?;
             started = true;
         }
-        for setpoint in trajectory.step() {
+        for setpoint in trajectory.step_observed(observer) {
             let [a, b, c, _] = setpoint.position_rad;
             let t_ms = sample.t_ms + 1;
             if setpoint.position_rad[..MAIN_AXES] != sample.setpoint.position_rad[..MAIN_AXES] {
