@@ -71,7 +71,7 @@ impl Monitor {
         let is_power_changing = scene::is_power_changing(&self.motion);
         let is_changing = is_stopping || is_power_changing;
         if !is_stopping {
-            let slide_mm = scene::slide_mm(&self.cell, &self.bounds, &self.motion);
+            let slide_mm = scene::slide_mm(&self.cell, &self.bounds, &self.motion, &self.disturbances);
             // What a disturbance hides may have begun at any of its speeds.
             let least_mm = if self.disturbances.none() { 0.0 } else { self.slide_mm };
             self.slide_mm = slide_mm.max(least_mm);

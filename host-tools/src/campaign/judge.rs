@@ -31,9 +31,6 @@ const INK_MISSING_BY_TORQUE: f64 = 0.01;
 /// Length of a gap that this leaves in a line, mm.
 const INK_MISSING_BY_TORQUE_MM: f64 = 1.0;
 
-/// Watchdog of the drives up to which they count as obeying while no telegram reaches them, ms.
-const SHORT_WATCHDOG_MS: u64 = 20;
-
 /// The monitor, and what it has to be told in this millisecond.
 pub(super) struct Judge {
     monitor: Monitor,
@@ -48,7 +45,6 @@ pub(super) struct Judge {
     disturbances: u32,
     untrue: [u32; AXES],
     axes: usize,
-    watchdog_ms: u64,
     configured: bool,
     /// The drawing that the operator orders, until its order reaches the board.
     ordered: Option<(u16, Vec<Input>)>,
@@ -68,7 +64,6 @@ impl Judge {
             disturbances: 0,
             untrue: [0; AXES],
             axes: config.axes.len(),
-            watchdog_ms: config.bus.watchdog_ms.into(),
             configured: false,
             ordered: None,
             finished: None,
@@ -186,16 +181,12 @@ impl Judge {
             }
             Fault::Join | Fault::Insert(_) => {}
             // What is cut, removed or exchanged stays so.
-            Fault::Cut(_) | Fault::Remove(_) => {
+            Fault::Cut(_) | Fault::Remove(_) | Fault::Swap(..) | Fault::Sii(..) | Fault::Refuse(..) => {
                 self.disturbed(now_ms, None);
-                self.cut_off(now_ms);
             }
-            Fault::Swap(..) | Fault::Sii(..) | Fault::Refuse(..) => self.disturbed(now_ms, None),
-            Fault::Stall(lasts_ms) | Fault::Power(_, lasts_ms) => {
-                self.disturbed(now_ms, Some(lasts_ms));
-                self.cut_off(now_ms);
-            }
-            Fault::Silence(_, lasts_ms)
+            Fault::Stall(lasts_ms)
+            | Fault::Power(_, lasts_ms)
+            | Fault::Silence(_, lasts_ms)
             | Fault::Mains(_, lasts_ms) => self.disturbed(now_ms, Some(lasts_ms)),
             Fault::Crc(_, frames) => self.disturbed(now_ms, Some(frames)),
             // At least one frame travels in a millisecond.
@@ -226,16 +217,6 @@ impl Judge {
         self.ends
             .retain(|(_, end)| !matches!(end, Input::Feedback { axis: other, .. } if *other == axis));
         self.inputs.push(Input::Feedback { axis, disturbed: false });
-    }
-
-    /// Drives that no telegram reaches go on until their watchdog expires. A short one is within the rules' own times.
-    fn cut_off(&mut self, now_ms: u32) {
-        if self.watchdog_ms > SHORT_WATCHDOG_MS {
-            for axis in 0..self.axes {
-                self.inputs.push(Input::Drive { axis, deaf: true });
-                self.ends_after(now_ms, self.watchdog_ms, Input::Drive { axis, deaf: false });
-            }
-        }
     }
 
     /// The machine is disturbed for some milliseconds, or until it is healed.
