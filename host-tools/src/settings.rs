@@ -99,7 +99,11 @@ impl Settings {
         Self::parse(&text)
     }
 
-    fn parse(text: &str) -> Result<Self, SettingsError> {
+    /// Reads the text of a file.
+    ///
+    /// # Errors
+    /// [`SettingsError::Syntax`].
+    pub fn parse(text: &str) -> Result<Self, SettingsError> {
         let mut document: DocumentMut = text.parse().map_err(SettingsError::Syntax)?;
         if document.get("axes").is_none() {
             let mut sample: DocumentMut = SAMPLE.parse().map_err(SettingsError::Syntax)?;
