@@ -2,7 +2,7 @@
 //!
 //! Text is drawn with letters of single lines: outlines would depend on the fonts of the computer.
 
-use host_tools::drawing::{DrawingError, Input, TextFont, load_content};
+use host_tools::drawing::{Input, TextFont, load_content};
 use image::{DynamicImage, ImageFormat, RgbImage, RgbaImage};
 use std::io::Cursor;
 use std::path::Path;
@@ -12,46 +12,41 @@ const PLACE_MAX_MM: f64 = 1.001e6;
 /// Most pixels of a picture while fuzzing; `tests/limits.rs` reads larger ones.
 const PIXELS_MAX: u64 = 1 << 20;
 
-/// Reads a file by its name; returns the number of points or pixels, or why there are none.
-pub(crate) fn read(name: &str, bytes: &[u8]) -> Result<usize, DrawingError> {
-    let count = match load_content(Path::new(name), bytes, &TextFont::SingleStroke) {
-        Err(error) => {
-            assert!(!error.to_string().is_empty());
-            return Err(error);
-        }
-        Ok(Input::Photograph(picture)) => picture.len() / 3,
-        Ok(Input::Artwork(artwork)) => {
+/// Reads a file by its name.
+fn read(name: &str, bytes: &[u8]) {
+    match load_content(Path::new(name), bytes, &TextFont::SingleStroke) {
+        Err(error) => assert!(!error.to_string().is_empty()),
+        Ok(input) => drop(count(input)),
+    }
+}
+
+/// Counts points or pixels, and checks that the points are finite and near.
+pub(crate) fn count(input: Input) -> usize {
+    match input {
+        Input::Photograph(picture) => picture.len() / 3,
+        Input::Artwork(artwork) => {
             assert!(artwork.warnings.len() <= 20);
             let layers = artwork.layers.len();
             assert!(artwork.strokes.iter().all(|stroke| stroke.layer < layers));
-            near(artwork.strokes.iter().flat_map(|stroke| &stroke.stroke.points))
+            near(artwork.strokes.iter().flat_map(|stroke| stroke.stroke.points.iter().copied()))
         }
-        Ok(Input::Drawing(drawing)) => near(drawing.strokes.iter().flat_map(|stroke| &stroke.points)),
-        Ok(Input::Path(path)) => {
+        Input::Drawing(drawing) => near(drawing.strokes.iter().flat_map(|stroke| stroke.points.iter().copied())),
+        Input::Path(path) => {
             assert_eq!(path.lines.len(), path.vertices.len());
-            let points: Vec<_> = path
-                .vertices
-                .iter()
-                .map(|vertex| [vertex.position.x_mm, vertex.position.y_mm])
-                .collect();
-            near(&points)
+            near(path.vertices.iter().map(|vertex| [vertex.position.x_mm, vertex.position.y_mm]))
         }
-    };
-    Ok(count)
+    }
 }
 
 /// Counts points, all of which are finite and near.
-fn near<'a>(points: impl IntoIterator<Item = &'a [f64; 2]>) -> usize {
-    let is_near = |point: &&[f64; 2]| point.iter().all(|mm| mm.abs() <= PLACE_MAX_MM);
-    points
-        .into_iter()
-        .inspect(|point| assert!(is_near(point), "{point:?}"))
-        .count()
+fn near(points: impl Iterator<Item = [f64; 2]>) -> usize {
+    let is_near = |point: &[f64; 2]| point.iter().all(|mm| mm.abs() <= PLACE_MAX_MM);
+    points.inspect(|point| assert!(is_near(point), "{point:?}")).count()
 }
 
 /// Reads an SVG.
 pub(crate) fn svg(bytes: &[u8]) {
-    let _ = read("fuzz.svg", bytes);
+    read("fuzz.svg", bytes);
 }
 
 /// Shapes, styles, text, references, clip paths, layers, and the first lines of a sample.
@@ -87,7 +82,7 @@ pub(crate) fn svg_seeds() -> Vec<Vec<u8>> {
 
 /// Reads G-code.
 pub(crate) fn gcode(bytes: &[u8]) {
-    let _ = read("fuzz.gcode", bytes);
+    read("fuzz.gcode", bytes);
 }
 
 /// Every dialect of the pen, arcs, units and offsets.
@@ -104,7 +99,7 @@ pub(crate) fn gcode_seeds() -> Vec<Vec<u8>> {
 
 /// Reads HPGL.
 pub(crate) fn hpgl(bytes: &[u8]) {
-    let _ = read("fuzz.hpgl", bytes);
+    read("fuzz.hpgl", bytes);
 }
 
 /// Pens, moves and every shape.
@@ -119,7 +114,7 @@ pub(crate) fn hpgl_seeds() -> Vec<Vec<u8>> {
 
 /// Reads a list of coordinates.
 pub(crate) fn csv(bytes: &[u8]) {
-    let _ = read("fuzz.csv", bytes);
+    read("fuzz.csv", bytes);
 }
 
 /// Both headings, and the beginnings of the samples.
@@ -138,7 +133,7 @@ pub(crate) fn csv_seeds() -> Vec<Vec<u8>> {
 /// Reads a picture, unless its header announces so many pixels that the fuzzer would only decode.
 pub(crate) fn picture(bytes: &[u8]) {
     if pixels(bytes).is_none_or(|pixels| pixels <= PIXELS_MAX) {
-        let _ = read("fuzz.png", bytes);
+        read("fuzz.png", bytes);
     }
 }
 

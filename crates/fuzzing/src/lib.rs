@@ -14,6 +14,8 @@ mod ethercat;
 mod firmware;
 mod frame;
 mod link;
+pub mod hostile;
+pub mod limits;
 pub mod mutation;
 mod recording;
 mod segment;
