@@ -15,7 +15,10 @@ const COPIES: [Copied; 5] = [
         &[
             ("core::sync::atomic::", "crate::atomic::"),
             // A model's atomic is larger than a word.
-            ("const _: () = assert!(size_of::<Descriptor>() == DESCRIPTOR_BYTES as usize);", ""),
+            (
+                "const _: () = assert!(size_of::<Descriptor>() == DESCRIPTOR_BYTES as usize);",
+                "",
+            ),
         ],
     ),
     (
@@ -47,8 +50,14 @@ const COPIES: [Copied; 5] = [
         "src/bin/shared/overruns.rs",
         &[
             ("core::sync::atomic::", "crate::atomic::"),
-            ("/// Releases of the trajectory task that it has not completed. Reading it is safe in a critical task.\npub(crate) static TRAJECTORIES_DUE: AtomicU32 = AtomicU32::new(0);", DUE),
-            ("/// Releases of the trajectory task that found an earlier one not completed.\npub(crate) static TRAJECTORY_OVERRUNS: AtomicU32 = AtomicU32::new(0);", OVERRUNS),
+            (
+                "/// Releases of the trajectory task that it has not completed. Reading it is safe in a critical task.\npub(crate) static TRAJECTORIES_DUE: AtomicU32 = AtomicU32::new(0);",
+                DUE,
+            ),
+            (
+                "/// Releases of the trajectory task that found an earlier one not completed.\npub(crate) static TRAJECTORY_OVERRUNS: AtomicU32 = AtomicU32::new(0);",
+                OVERRUNS,
+            ),
         ],
     ),
 ];

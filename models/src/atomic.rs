@@ -22,7 +22,8 @@ macro_rules! atomic {
             }
 
             fn inner(&self) -> &loom::sync::atomic::$name {
-                self.inner.get_or_init(|| loom::sync::atomic::$name::new(self.first))
+                self.inner
+                    .get_or_init(|| loom::sync::atomic::$name::new(self.first))
             }
 
             /// Reads.

@@ -2,8 +2,8 @@
 //!
 //! [`explore`] runs a task once for every place of the interrupts. An interrupt runs to its end and is not interrupted.
 
-pub use std::sync::atomic::Ordering;
 use std::cell::{Cell, RefCell};
+pub use std::sync::atomic::Ordering;
 
 type Handler = Box<dyn FnMut()>;
 
