@@ -41,10 +41,8 @@ fn used(config: &Config) {
     talk(&said);
     if is_right {
         assert!(config.hash().is_some(), "a configuration within its bounds has a hash");
-        assert!(
-            Kinematics::new(&config.geometry).is_ok(),
-            "a configuration within its bounds has a geometry"
-        );
+        // Dimensions within their bounds may still form no robot; the firmware says so.
+        let _ = Kinematics::new(&config.geometry);
     }
 }
 

@@ -28,12 +28,21 @@ pub(crate) fn count(input: Input) -> usize {
             assert!(artwork.warnings.len() <= 20);
             let layers = artwork.layers.len();
             assert!(artwork.strokes.iter().all(|stroke| stroke.layer < layers));
-            near(artwork.strokes.iter().flat_map(|stroke| stroke.stroke.points.iter().copied()))
+            near(
+                artwork
+                    .strokes
+                    .iter()
+                    .flat_map(|stroke| stroke.stroke.points.iter().copied()),
+            )
         }
         Input::Drawing(drawing) => near(drawing.strokes.iter().flat_map(|stroke| stroke.points.iter().copied())),
         Input::Path(path) => {
             assert_eq!(path.lines.len(), path.vertices.len());
-            near(path.vertices.iter().map(|vertex| [vertex.position.x_mm, vertex.position.y_mm]))
+            near(
+                path.vertices
+                    .iter()
+                    .map(|vertex| [vertex.position.x_mm, vertex.position.y_mm]),
+            )
         }
     }
 }

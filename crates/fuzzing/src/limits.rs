@@ -23,7 +23,11 @@ pub const SECONDS: u64 = 10;
 /// # Errors
 /// The operating system refuses the limits.
 pub fn restrict(memory_bytes: u64, seconds: u64) -> io::Result<()> {
-    for (resource, limit) in [(Resource::As, memory_bytes), (Resource::Cpu, seconds), (Resource::Core, 0)] {
+    for (resource, limit) in [
+        (Resource::As, memory_bytes),
+        (Resource::Cpu, seconds),
+        (Resource::Core, 0),
+    ] {
         let limit = Rlimit {
             current: Some(limit),
             maximum: Some(limit),
@@ -48,29 +52,46 @@ pub fn read(path: &Path) -> io::Result<String> {
                 playback.notices().len()
             });
             let entries = recording::read(&fs::read(path)?);
-            entries.map(|entries| format!("{entries} entries, {notices} notices")).map_err(|error| error.to_string())
+            entries
+                .map(|entries| format!("{entries} entries, {notices} notices"))
+                .map_err(|error| error.to_string())
         }
         "toml" => {
             let changed = Settings::open(path).and_then(|settings| settings.config());
             let changed = changed.map_err(|error| error.to_string());
-            settings::load(Some(path)).map_err(|error| error.message).and(changed).map(|_| "a configuration".to_owned())
+            settings::load(Some(path))
+                .map_err(|error| error.message)
+                .and(changed)
+                .map(|_| "a configuration".to_owned())
         }
         "script" => {
             let script: Result<Script, _> = fs::read_to_string(path)?.parse();
             let checked = script.and_then(|script| script.check(4));
-            checked.map(|()| "a script".to_owned()).map_err(|error| error.to_string())
+            checked
+                .map(|()| "a script".to_owned())
+                .map_err(|error| error.to_string())
         }
         "sii" => {
             let kind = SlaveKind::parse(&format!("sii:{}", path.display()));
-            kind.map(crate::segment::visit).map(|()| "a slave".to_owned()).map_err(|error| error.to_string())
+            kind.map(crate::segment::visit)
+                .map(|()| "a slave".to_owned())
+                .map_err(|error| error.to_string())
         }
         _ => {
             let input = load_with(path, &TextFont::SingleStroke);
-            input.map(|input| format!("{} points or pixels", drawing::count(input))).map_err(|error| error.to_string())
+            input
+                .map(|input| format!("{} points or pixels", drawing::count(input)))
+                .map_err(|error| error.to_string())
         }
     };
     // The beginning of a message names what is wrong.
-    Ok(told.unwrap_or_else(|error| format!("refused, {} bytes: {}", error.len(), error.chars().take(120).collect::<String>())))
+    Ok(told.unwrap_or_else(|error| {
+        format!(
+            "refused, {} bytes: {}",
+            error.len(),
+            error.chars().take(120).collect::<String>()
+        )
+    }))
 }
 
 /// Most address space this process has had, MiB, and its processor time, s.
@@ -79,7 +100,14 @@ pub fn read(path: &Path) -> io::Result<String> {
 /// `/proc` cannot be read.
 pub fn used() -> io::Result<(u64, f64)> {
     let status = fs::read_to_string("/proc/self/status")?;
-    let peak = status.lines().find_map(|line| line.strip_prefix("VmPeak:")?.trim().split(' ').next()?.parse::<u64>().ok());
+    let peak = status.lines().find_map(|line| {
+        line.strip_prefix("VmPeak:")?
+            .trim()
+            .split(' ')
+            .next()?
+            .parse::<u64>()
+            .ok()
+    });
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
     Ok((peak.unwrap_or(0) / 1024, time.tv_sec as f64 + time.tv_nsec as f64 / 1e9))
 }

@@ -3,23 +3,74 @@
 use super::{FILE_BYTES, Hostile};
 
 pub(super) const FILES: &[Hostile] = &[
-    Hostile { name: "record-length.mcap", make: || mcap(&[], &record(5, u64::MAX, &[])) },
-    Hostile { name: "attachment-length.mcap", make: || mcap(&[], &record(9, 64 << 20, &[0; 64])) },
-    Hostile { name: "skipped-length.mcap", make: || mcap(&[], &record(0x80, u64::MAX, &[])) },
-    Hostile { name: "chunk-length.mcap", make: || mcap(&[], &record(6, u64::MAX, &chunk_head(0))) },
-    Hostile { name: "chunks-of-messages.mcap", make: || chunk(&message(1)) },
-    Hostile { name: "empty-chunks.mcap", make: || mcap(&[], &record(6, 40, &[chunk_head(0), vec![0; 8]].concat())) },
-    Hostile { name: "messages.mcap", make: || mcap(&sample_channel(1), &message(1)) },
-    Hostile { name: "samples.mcap", make: || mcap(&sample_channel(1), &sample()) },
-    Hostile { name: "channels.mcap", make: || each(|number| channel(number as u16, "/x")) },
-    Hostile { name: "topics.mcap", make: topics },
-    Hostile { name: "malformed.mcap", make: || mcap(&[], &record(4, 0, &[])) },
-    Hostile { name: "attachments.mcap", make: || mcap(&[], &attachment()) },
-    Hostile { name: "metadata.mcap", make: || mcap(&[], &metadata()) },
-    Hostile { name: "entries.mcap", make: entries },
-    Hostile { name: "configuration.mcap", make: configuration },
-    Hostile { name: "empty.sii", make: || vec![0xFF; FILE_BYTES] },
-    Hostile { name: "categories.sii", make: || [vec![0; 128], vec![1, 0, 0, 0].repeat((1 << 20) / 4 - 32)].concat() },
+    Hostile {
+        name: "record-length.mcap",
+        make: || mcap(&[], &record(5, u64::MAX, &[])),
+    },
+    Hostile {
+        name: "attachment-length.mcap",
+        make: || mcap(&[], &record(9, 64 << 20, &[0; 64])),
+    },
+    Hostile {
+        name: "skipped-length.mcap",
+        make: || mcap(&[], &record(0x80, u64::MAX, &[])),
+    },
+    Hostile {
+        name: "chunk-length.mcap",
+        make: || mcap(&[], &record(6, u64::MAX, &chunk_head(0))),
+    },
+    Hostile {
+        name: "chunks-of-messages.mcap",
+        make: || chunk(&message(1)),
+    },
+    Hostile {
+        name: "empty-chunks.mcap",
+        make: || mcap(&[], &record(6, 40, &[chunk_head(0), vec![0; 8]].concat())),
+    },
+    Hostile {
+        name: "messages.mcap",
+        make: || mcap(&sample_channel(1), &message(1)),
+    },
+    Hostile {
+        name: "samples.mcap",
+        make: || mcap(&sample_channel(1), &sample()),
+    },
+    Hostile {
+        name: "channels.mcap",
+        make: || each(|number| channel(number as u16, "/x")),
+    },
+    Hostile {
+        name: "topics.mcap",
+        make: topics,
+    },
+    Hostile {
+        name: "malformed.mcap",
+        make: || mcap(&[], &record(4, 0, &[])),
+    },
+    Hostile {
+        name: "attachments.mcap",
+        make: || mcap(&[], &attachment()),
+    },
+    Hostile {
+        name: "metadata.mcap",
+        make: || mcap(&[], &metadata()),
+    },
+    Hostile {
+        name: "entries.mcap",
+        make: entries,
+    },
+    Hostile {
+        name: "configuration.mcap",
+        make: configuration,
+    },
+    Hostile {
+        name: "empty.sii",
+        make: || vec![0xFF; FILE_BYTES],
+    },
+    Hostile {
+        name: "categories.sii",
+        make: || [vec![0; 128], vec![1, 0, 0, 0].repeat((1 << 20) / 4 - 32)].concat(),
+    },
 ];
 
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
@@ -68,7 +119,14 @@ fn chunk(message: &[u8]) -> Vec<u8> {
 }
 
 fn channel(number: u16, topic: &str) -> Vec<u8> {
-    let content = [&number.to_le_bytes(), [1, 0].as_slice(), &text(topic), &text("cdr"), &[0; 4]].concat();
+    let content = [
+        &number.to_le_bytes(),
+        [1, 0].as_slice(),
+        &text(topic),
+        &text("cdr"),
+        &[0; 4],
+    ]
+    .concat();
     whole(4, &content)
 }
 
@@ -115,6 +173,14 @@ fn entries() -> Vec<u8> {
 fn configuration() -> Vec<u8> {
     let toml = "a.".repeat(FILE_BYTES / 2 - 100) + "a = 1";
     let size = (toml.len() as u64).to_le_bytes().to_vec();
-    let content = [vec![0; 16], text("etherpen.toml"), text("x"), size, toml.into_bytes(), vec![0; 4]].concat();
+    let content = [
+        vec![0; 16],
+        text("etherpen.toml"),
+        text("x"),
+        size,
+        toml.into_bytes(),
+        vec![0; 4],
+    ]
+    .concat();
     [MAGIC, &whole(9, &content)].concat()
 }

@@ -3,23 +3,113 @@
 use super::{FILE_BYTES, Hostile};
 
 pub(super) const FILES: &[Hostile] = &[
-    Hostile { name: "announced.png", make: || png(0x7FFF_FFFF, 0x7FFF_FFFF, Kind::COLOUR, &[]) },
-    Hostile { name: "wide.png", make: || png(4_000_000, 16, Kind::CLEAR_DEEP, &[]) },
-    Hostile { name: "high.png", make: || png(16, 4_000_000, Kind::CLEAR_DEEP, &[]) },
-    Hostile { name: "deep.png", make: || png(8_000, 8_000, Kind::CLEAR_DEEP, &[]) },
-    Hostile { name: "deep-and-turned.png", make: || png(8_000, 8_000, Kind::CLEAR_DEEP, &chunk(b"eXIf", &turned())) },
-    Hostile { name: "interlaced.png", make: || png(8_000, 8_000, Kind { interlaced: 1, ..Kind::CLEAR_DEEP }, &[]) },
-    Hostile { name: "grey.png", make: || png(8_000, 8_000, Kind { bits: 16, colour: 0, interlaced: 0 }, &[]) },
-    Hostile { name: "two-tones.png", make: || png(8_000, 8_000, Kind { bits: 1, colour: 0, interlaced: 0 }, &[]) },
-    Hostile { name: "profile.png", make: || png(100, 100, Kind::COLOUR, &packed_chunk(b"iCCP", b"profile\0\0")) },
-    Hostile { name: "remark.png", make: || png(100, 100, Kind::COLOUR, &packed_chunk(b"zTXt", b"remark\0\0")) },
-    Hostile { name: "chunks.png", make: || png(100, 100, Kind::COLOUR, &chunk(b"tEXt", b"a\0").repeat(FILE_BYTES / 14 - 100)) },
-    Hostile { name: "announced.jpg", make: || jpeg(0xC0, 65_500, 65_500, 1) },
-    Hostile { name: "baseline.jpg", make: || jpeg(0xC0, 8_000, 8_000, 1) },
-    Hostile { name: "progressive.jpg", make: || jpeg(0xC2, 8_000, 8_000, 1) },
-    Hostile { name: "scans.jpg", make: || jpeg(0xC2, 8_000, 8_000, FILE_BYTES / 12 - 100) },
-    Hostile { name: "scans-of-a-small-picture.jpg", make: || jpeg(0xC2, 64, 64, FILE_BYTES / 12 - 100) },
-    Hostile { name: "tables.jpg", make: tables },
+    Hostile {
+        name: "announced.png",
+        make: || png(0x7FFF_FFFF, 0x7FFF_FFFF, Kind::COLOUR, &[]),
+    },
+    Hostile {
+        name: "wide.png",
+        make: || png(4_000_000, 16, Kind::CLEAR_DEEP, &[]),
+    },
+    Hostile {
+        name: "high.png",
+        make: || png(16, 4_000_000, Kind::CLEAR_DEEP, &[]),
+    },
+    Hostile {
+        name: "deep.png",
+        make: || png(8_000, 8_000, Kind::CLEAR_DEEP, &[]),
+    },
+    Hostile {
+        name: "deep-and-turned.png",
+        make: || png(8_000, 8_000, Kind::CLEAR_DEEP, &chunk(b"eXIf", &turned())),
+    },
+    Hostile {
+        name: "interlaced.png",
+        make: || {
+            png(
+                8_000,
+                8_000,
+                Kind {
+                    interlaced: 1,
+                    ..Kind::CLEAR_DEEP
+                },
+                &[],
+            )
+        },
+    },
+    Hostile {
+        name: "grey.png",
+        make: || {
+            png(
+                8_000,
+                8_000,
+                Kind {
+                    bits: 16,
+                    colour: 0,
+                    interlaced: 0,
+                },
+                &[],
+            )
+        },
+    },
+    Hostile {
+        name: "two-tones.png",
+        make: || {
+            png(
+                8_000,
+                8_000,
+                Kind {
+                    bits: 1,
+                    colour: 0,
+                    interlaced: 0,
+                },
+                &[],
+            )
+        },
+    },
+    Hostile {
+        name: "profile.png",
+        make: || png(100, 100, Kind::COLOUR, &packed_chunk(b"iCCP", b"profile\0\0")),
+    },
+    Hostile {
+        name: "remark.png",
+        make: || png(100, 100, Kind::COLOUR, &packed_chunk(b"zTXt", b"remark\0\0")),
+    },
+    Hostile {
+        name: "chunks.png",
+        make: || {
+            png(
+                100,
+                100,
+                Kind::COLOUR,
+                &chunk(b"tEXt", b"a\0").repeat(FILE_BYTES / 14 - 100),
+            )
+        },
+    },
+    Hostile {
+        name: "announced.jpg",
+        make: || jpeg(0xC0, 65_500, 65_500, 1),
+    },
+    Hostile {
+        name: "baseline.jpg",
+        make: || jpeg(0xC0, 8_000, 8_000, 1),
+    },
+    Hostile {
+        name: "progressive.jpg",
+        make: || jpeg(0xC2, 8_000, 8_000, 1),
+    },
+    Hostile {
+        name: "scans.jpg",
+        make: || jpeg(0xC2, 8_000, 8_000, FILE_BYTES / 12 - 100),
+    },
+    Hostile {
+        name: "scans-of-a-small-picture.jpg",
+        make: || jpeg(0xC2, 64, 64, FILE_BYTES / 12 - 100),
+    },
+    Hostile {
+        name: "tables.jpg",
+        make: tables,
+    },
 ];
 
 /// Pixels of a PNG: bits of a channel, kind of colour, whether interlaced.
@@ -31,9 +121,17 @@ struct Kind {
 }
 
 impl Kind {
-    const COLOUR: Self = Self { bits: 8, colour: 2, interlaced: 0 };
+    const COLOUR: Self = Self {
+        bits: 8,
+        colour: 2,
+        interlaced: 0,
+    };
     /// Colour with transparency, 16 bits each.
-    const CLEAR_DEEP: Self = Self { bits: 16, colour: 6, interlaced: 0 };
+    const CLEAR_DEEP: Self = Self {
+        bits: 16,
+        colour: 6,
+        interlaced: 0,
+    };
 
     fn pixel_bits(self) -> u64 {
         let channels = match self.colour {
@@ -47,12 +145,19 @@ impl Kind {
 
 fn crc(bytes: &[u8]) -> u32 {
     let step = |crc: u32, _| (crc >> 1) ^ (0xEDB8_8320 & (crc & 1).wrapping_neg());
-    !bytes.iter().fold(u32::MAX, |crc, &byte| (0..8).fold(crc ^ u32::from(byte), step))
+    !bytes
+        .iter()
+        .fold(u32::MAX, |crc, &byte| (0..8).fold(crc ^ u32::from(byte), step))
 }
 
 fn chunk(name: &[u8; 4], data: &[u8]) -> Vec<u8> {
     let content = [name, data].concat();
-    [&(data.len() as u32).to_be_bytes(), content.as_slice(), &crc(&content).to_be_bytes()].concat()
+    [
+        &(data.len() as u32).to_be_bytes(),
+        content.as_slice(),
+        &crc(&content).to_be_bytes(),
+    ]
+    .concat()
 }
 
 /// A chunk whose text unpacks to 300 times 5 MiB.
@@ -82,7 +187,14 @@ fn png(width: u32, height: u32, kind: Kind, chunks: &[u8]) -> Vec<u8> {
     let room = (FILE_BYTES - chunks.len().min(FILE_BYTES - 1_000) - 200) as u64;
     let packed = zeros(size.min(150 * room));
     let signature = b"\x89PNG\r\n\x1a\n".to_vec();
-    [signature, chunk(b"IHDR", &header), chunks.to_vec(), chunk(b"IDAT", &packed), chunk(b"IEND", &[])].concat()
+    [
+        signature,
+        chunk(b"IHDR", &header),
+        chunks.to_vec(),
+        chunk(b"IDAT", &packed),
+        chunk(b"IEND", &[]),
+    ]
+    .concat()
 }
 
 /// Packed zeros: one literal, then copies of 258 bytes at distance 1, 13 bits each, in one block with fixed codes.
@@ -139,7 +251,10 @@ fn jpeg(frame: u8, width: u16, height: u16, scans: usize) -> Vec<u8> {
     let mut bytes = vec![0xFF, 0xD8];
     bytes.extend(segment(0xDB, &[[0].as_slice(), &[1; 64]].concat()));
     let size = [[8].as_slice(), &height.to_be_bytes(), &width.to_be_bytes()].concat();
-    bytes.extend(segment(frame, &[size.as_slice(), &[3, 1, 0x11, 0, 2, 0x11, 0, 3, 0x11, 0]].concat()));
+    bytes.extend(segment(
+        frame,
+        &[size.as_slice(), &[3, 1, 0x11, 0, 2, 0x11, 0, 3, 0x11, 0]].concat(),
+    ));
     for table in [0x00, 0x10] {
         let mut counts = [0; 16];
         counts[0] = 1;
@@ -162,5 +277,10 @@ fn jpeg(frame: u8, width: u16, height: u16, scans: usize) -> Vec<u8> {
 fn tables() -> Vec<u8> {
     let picture = jpeg(0xC0, 64, 64, 1);
     let table = segment(0xDB, &[[0].as_slice(), &[1; 64]].concat());
-    [&picture[..2], &table.repeat(FILE_BYTES / table.len() - 10), &picture[2..]].concat()
+    [
+        &picture[..2],
+        &table.repeat(FILE_BYTES / table.len() - 10),
+        &picture[2..],
+    ]
+    .concat()
 }
