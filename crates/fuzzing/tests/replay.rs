@@ -29,6 +29,7 @@ fn replay(target: &Target) {
     let seeds = (target.seeds)();
     assert!(!seeds.is_empty(), "{}: no seeds", target.name);
     let kept = corpus(target.name);
+    assert!(!kept.is_empty(), "{}: no corpus", target.name);
     let named = seeds
         .iter()
         .enumerate()

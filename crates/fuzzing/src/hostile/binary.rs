@@ -69,7 +69,7 @@ pub(super) const FILES: &[Hostile] = &[
     },
     Hostile {
         name: "categories.sii",
-        make: || [vec![0; 128], vec![1, 0, 0, 0].repeat((1 << 20) / 4 - 32)].concat(),
+        make: || [vec![0; 128], [1, 0, 0, 0].repeat((1 << 20) / 4 - 32)].concat(),
     },
 ];
 
