@@ -210,8 +210,9 @@ impl Histogram {
         for bin in &self.bins {
             bin.store(0, Ordering::Relaxed);
         }
-        self.sum_high.store(0, Ordering::Relaxed);
+        // The low word first: a carry of a recording meanwhile is reset with the high word.
         self.sum_low.store(0, Ordering::Relaxed);
+        self.sum_high.store(0, Ordering::Relaxed);
         self.largest.store(0, Ordering::Relaxed);
         self.smallest_complement.store(0, Ordering::Relaxed);
     }

@@ -11,13 +11,19 @@ use crate::link::text;
 use etherpen::config::{Config, ConfigError};
 use etherpen::control::robot_axes::resolver_angle_rad;
 use etherpen::robots::AXES;
-use std::io;
+use std::fs::File;
+use std::io::{self, Read};
 use std::path::Path;
 use toml_edit::{DocumentMut, Item, TomlError, Value};
 
 /// Largest difference between the angles of a reference at stored marks and the stored angles, rad: more than an
 /// increment of a resolver.
 const STORED_DIFFERENCE_MAX_RAD: f64 = 1.0e-6;
+/// Largest configuration file, bytes: ten times the sample, and few enough for a parser that needs a hundred times
+/// their memory.
+pub const FILE_BYTES_MAX: u64 = 256 << 10;
+/// Longest line in a message, characters.
+const LINE_CHARS_MAX: usize = 160;
 /// All values with their defaults and comments.
 const SAMPLE: &str = include_str!("../../samples/etherpen.toml");
 
@@ -45,15 +51,36 @@ impl std::fmt::Display for SettingsError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::File(cause) => cause.fmt(f),
-            Self::Syntax(cause) => cause.fmt(f),
+            Self::Syntax(cause) => f.write_str(&shortened(cause)),
             Self::Place { axis, field } => write!(f, "there is no place for axes[{axis}].{field} in it"),
-            Self::Configuration(cause) => cause.fmt(f),
+            Self::Configuration(cause) => f.write_str(&shortened(cause)),
             Self::Bounds(cause) => f.write_str(&text::config_error(cause)),
         }
     }
 }
 
 impl std::error::Error for SettingsError {}
+
+/// A message that quotes a line, without the rest of a very long one.
+fn shortened(cause: &impl std::fmt::Display) -> String {
+    let text = cause.to_string();
+    let cut = |line: &str| match line.char_indices().nth(LINE_CHARS_MAX) {
+        Some((end, _)) => format!("{}...", line.get(..end).unwrap_or_default()),
+        None => line.to_owned(),
+    };
+    text.lines().map(cut).collect::<Vec<_>>().join("\n")
+}
+
+/// Reads a file of limited size.
+fn read(path: &Path) -> io::Result<String> {
+    let mut bytes = Vec::new();
+    File::open(path)?.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes)?;
+    if bytes.len() as u64 > FILE_BYTES_MAX {
+        let message = format!("a configuration has at most {} KiB", FILE_BYTES_MAX >> 10);
+        return Err(io::Error::new(io::ErrorKind::InvalidData, message));
+    }
+    String::from_utf8(bytes).map_err(|_| io::Error::new(io::ErrorKind::InvalidData, "it is not text in UTF-8"))
+}
 
 /// Reads and checks a configuration file; `None` gives the built-in configuration.
 ///
@@ -64,14 +91,18 @@ pub fn load(path: Option<&Path>) -> Result<Config, ProgramError> {
         return Ok(Config::default());
     };
     let shown = path.display();
-    let text = std::fs::read_to_string(path).map_err(|cause| {
+    let text = read(path).map_err(|cause| {
         ProgramError::new(
             code::USAGE,
             format!("the configuration {shown} cannot be read: {cause}"),
         )
     })?;
-    let config: Config = toml::from_str(&text)
-        .map_err(|cause| ProgramError::new(code::USAGE, format!("the configuration {shown} is wrong:\n{cause}")))?;
+    let config: Config = toml::from_str(&text).map_err(|cause| {
+        ProgramError::new(
+            code::USAGE,
+            format!("the configuration {shown} is wrong:\n{}", shortened(&cause)),
+        )
+    })?;
     config.check().map_err(|cause| {
         ProgramError::new(
             code::USAGE,
@@ -92,14 +123,18 @@ impl Settings {
     /// # Errors
     /// [`SettingsError::File`] and [`SettingsError::Syntax`].
     pub fn open(path: &Path) -> Result<Self, SettingsError> {
-        let text = match std::fs::read_to_string(path) {
+        let text = match read(path) {
             Err(cause) if cause.kind() == io::ErrorKind::NotFound => SAMPLE.to_owned(),
             read => read.map_err(SettingsError::File)?,
         };
         Self::parse(&text)
     }
 
-    fn parse(text: &str) -> Result<Self, SettingsError> {
+    /// Reads the text of a file.
+    ///
+    /// # Errors
+    /// [`SettingsError::Syntax`].
+    pub fn parse(text: &str) -> Result<Self, SettingsError> {
         let mut document: DocumentMut = text.parse().map_err(SettingsError::Syntax)?;
         if document.get("axes").is_none() {
             let mut sample: DocumentMut = SAMPLE.parse().map_err(SettingsError::Syntax)?;

@@ -90,6 +90,15 @@ pub enum DrawingError {
         /// Most elements accepted.
         elements_max: usize,
     },
+    /// A vector file has too much of something that takes long to read.
+    SvgTooMuch {
+        /// What there is too much of.
+        what: &'static str,
+        /// Line of the file, the first is 1.
+        line: usize,
+        /// Most accepted.
+        most: usize,
+    },
     /// The lines of a file have too many points.
     TooManyPoints {
         /// Most points accepted.
@@ -234,6 +243,12 @@ impl fmt::Display for DrawingError {
                  again"
             ),
             Self::SvgSize => write!(f, "width, height or viewBox is zero or no number; give the page a size"),
+            Self::SvgTooMuch { what, line, most } => {
+                write!(
+                    f,
+                    "line {line}: more than {most} {what}; simplify the file, or split it"
+                )
+            }
             Self::SvgElements { elements_max } => write!(
                 f,
                 "more than {elements_max} elements, or nested too deeply; join lines into paths, or split the file"

@@ -111,6 +111,11 @@ fn words(content: &str, line: usize) -> Result<Vec<Word>, DrawingError> {
     }
 }
 
+/// The first number behind a letter.
+fn value_of(words: &[Word], letter: char) -> Option<f64> {
+    words.iter().find(|word| word.letter == letter).map(|word| word.value)
+}
+
 fn dialect(blocks: &[Vec<Word>]) -> Dialect {
     let mut words = blocks.iter().flatten();
     if words.any(|word| word.letter == 'M' && word.value == 300.0) {
@@ -166,7 +171,8 @@ impl Reader {
     }
 
     fn block(&mut self, words: &[Word]) -> Result<(), DrawingError> {
-        let value = |letter: char| words.iter().find(|word| word.letter == letter).map(|word| word.value);
+        // Found once: a line may have millions of words.
+        let [x, y, s] = ['X', 'Y', 'S'].map(|letter| value_of(words, letter));
         let mut moves = true;
         for word in words {
             match (word.letter, word.value) {
@@ -183,8 +189,8 @@ impl Reader {
                 ('G', 91.0) => self.is_relative = true,
                 ('G', 92.0) => {
                     moves = false;
-                    for (axis, letter) in ['X', 'Y'].into_iter().enumerate() {
-                        if let Some(value) = value(letter) {
+                    for (axis, value) in [x, y].into_iter().enumerate() {
+                        if let Some(value) = value {
                             self.offset[axis] = self.plot.at[axis] - value * self.unit_mm;
                         }
                     }
@@ -195,7 +201,7 @@ impl Reader {
                         tenths: (word.value * 10.0).round() as u32,
                     });
                 }
-                ('M', number) => self.function(number, value('S'), value('P').is_some()),
+                ('M', number) => self.function(number, s),
                 ('T', number) => self.plot.change(number.max(0.0) as usize),
                 ('S', 0.0) if self.dialect == Dialect::Spindle => self.is_down = false,
                 ('F' | 'S' | 'P' | 'X' | 'Y' | 'Z' | 'I' | 'J' | 'R' | 'K' | 'E' | 'A' | 'L', _) => {}
@@ -208,7 +214,7 @@ impl Reader {
         Ok(())
     }
 
-    fn function(&mut self, number: f64, s: Option<f64>, _dwells: bool) {
+    fn function(&mut self, number: f64, s: Option<f64>) {
         match (self.dialect, number as u32) {
             (Dialect::Servo, 300) => self.is_down = s.is_some_and(|s| s < M300_UP_S),
             (Dialect::Spindle, 3 | 4) => self.is_down = s != Some(0.0),
@@ -220,7 +226,7 @@ impl Reader {
     }
 
     fn travel(&mut self, words: &[Word]) -> Result<(), DrawingError> {
-        let value = |letter: char| words.iter().find(|word| word.letter == letter).map(|word| word.value);
+        let value = |letter: char| value_of(words, letter);
         if let Some(z) = value('Z') {
             self.height = if self.is_relative && self.height.is_finite() {
                 self.height + z

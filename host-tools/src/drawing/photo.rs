@@ -10,14 +10,18 @@ use std::io::Cursor;
 /// Most pixels decoded.
 const PIXELS_MAX: u64 = 64_000_000;
 /// Most memory a decoder may take, bytes.
-const DECODER_BYTES_MAX: u64 = 1 << 30;
+const DECODER_BYTES_MAX: u64 = PIXELS_MAX * PIXEL_BYTES_MAX + SPARE_BYTES;
+/// Bytes of a pixel with four channels of 16 bits.
+const PIXEL_BYTES_MAX: u64 = 8;
+/// Memory of a decoder besides its pixels, bytes: rows, tables, remarks.
+const SPARE_BYTES: u64 = 16 << 20;
 /// Least number of pixels on a side.
 pub(super) const SIDE_MIN: u32 = 16;
 /// Start of a scan and end of the picture in a JPEG file.
 const JPEG_SCAN: [u8; 2] = [0xFF, 0xDA];
 const JPEG_END: [u8; 2] = [0xFF, 0xD9];
 
-const _: () = assert!(PIXELS_MAX * 8 <= DECODER_BYTES_MAX);
+const _: () = assert!(DECODER_BYTES_MAX <= 600 << 20);
 
 /// Decodes a picture within limits, turns it upright and lays it on white.
 pub(super) fn decode(bytes: &[u8], format: ImageFormat) -> Result<RgbImage, DrawingError> {
@@ -26,15 +30,30 @@ pub(super) fn decode(bytes: &[u8], format: ImageFormat) -> Result<RgbImage, Draw
     }
     let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
     let mut limits = Limits::default();
-    limits.max_alloc = Some(DECODER_BYTES_MAX);
+    // A small picture may not unpack a large remark.
+    let bytes_max = match announced_png(bytes) {
+        Some([width, height]) => {
+            check_size(width, height)?;
+            u64::from(width) * u64::from(height) * PIXEL_BYTES_MAX + SPARE_BYTES
+        }
+        None => DECODER_BYTES_MAX,
+    };
+    limits.max_alloc = Some(bytes_max);
     reader.limits(limits);
     let mut decoder = reader.into_decoder().map_err(what_failed)?;
     let (width, height) = decoder.dimensions();
     check_size(width, height)?;
     let orientation = decoder.orientation().unwrap_or(Orientation::NoTransforms);
-    let mut picture = DynamicImage::from_decoder(decoder).map_err(what_failed)?;
+    // Turned last: then the two pictures in memory are small ones.
+    let mut picture = DynamicImage::ImageRgb8(on_white(DynamicImage::from_decoder(decoder).map_err(what_failed)?));
     picture.apply_orientation(orientation);
-    Ok(on_white(picture))
+    Ok(picture.into_rgb8())
+}
+
+/// Width and height that the header of a PNG announces.
+fn announced_png(bytes: &[u8]) -> Option<[u32; 2]> {
+    let side = |at: usize| Some(u32::from_be_bytes(*bytes.get(at..)?.first_chunk()?));
+    (bytes.get(12..16) == Some(b"IHDR")).then_some([side(16)?, side(20)?])
 }
 
 /// Refuses pictures that are too small or too large.

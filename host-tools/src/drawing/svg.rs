@@ -9,6 +9,7 @@
 //! every file.
 
 mod dashes;
+mod demands;
 mod head;
 mod messages;
 mod text;
@@ -23,7 +24,10 @@ use dashes::cut_into_dashes;
 use head::{Head, farthest_line, out_of_range_line};
 use kurbo::{Affine, BezPath, PathEl};
 use messages::{Collected, Said};
+use std::cell::Cell;
 use std::collections::{HashMap, HashSet};
+use std::io;
+use std::thread;
 use text::Fonts;
 pub use text::{FontFile, TextFont};
 use usvg::roxmltree::{Document, ParsingOptions};
@@ -33,6 +37,8 @@ use usvg::tiny_skia_path::{PathSegment, Transform};
 const TOLERANCE_MM: f64 = 0.02;
 /// Most points of all strokes together.
 const POINTS_MAX: usize = 20_000_000;
+/// Stack for usvg, bytes: its functions call themselves for every level of a file, see [`demands`].
+const STACK_BYTES: usize = 64 << 20;
 /// Most dashes of one line; one with more is drawn solid.
 const DASHES_MAX: f64 = 100_000.0;
 /// Most dashes of all lines together; lines after that are drawn solid.
@@ -60,12 +66,14 @@ pub fn read_svg(text: &str) -> Result<Artwork, DrawingError> {
 ///
 /// # Errors
 /// [`DrawingError::SvgSyntax`], [`DrawingError::SvgCycle`], [`DrawingError::SvgSize`], [`DrawingError::SvgElements`],
-/// [`DrawingError::FarAway`] with the line of the number that is too large, or [`DrawingError::TooManyPoints`].
+/// [`DrawingError::SvgTooMuch`], [`DrawingError::FarAway`] with the line of the number that is too large, or
+/// [`DrawingError::TooManyPoints`].
 pub fn read_svg_with(text: &str, font: &TextFont) -> Result<Artwork, DrawingError> {
     let options = ParsingOptions {
         allow_dtd: true,
         ..ParsingOptions::default()
     };
+    demands::check_attributes(text)?;
     let document = Document::parse_with_options(text, options).map_err(|error| syntax(&error))?;
     let too_many = DrawingError::SvgElements {
         elements_max: ELEMENTS_MAX,
@@ -73,6 +81,7 @@ pub fn read_svg_with(text: &str, font: &TextFont) -> Result<Artwork, DrawingErro
     if document.descendants().filter(|node| node.is_element()).count() > ELEMENTS_MAX {
         return Err(too_many);
     }
+    demands::check(&document)?;
     let head = Head::of(&document);
     if head.has_invalid_size {
         return Err(DrawingError::SvgSize);
@@ -87,12 +96,12 @@ pub fn read_svg_with(text: &str, font: &TextFont) -> Result<Artwork, DrawingErro
     drop(document);
     let mut options = usvg_options();
     fonts.give_to(&mut options);
-    let (mut tree, mut said) = tree(&prepared, &options);
+    let (mut tree, mut said) = tree(&prepared, &options)?;
     let mut warnings = head.warnings;
     warnings.extend(fonts.warning());
     if !said.missing.is_empty() {
         warnings.extend(text::left_out(&said.missing));
-        (tree, said) = self::tree(&text::without(&prepared, &said.missing), &options);
+        (tree, said) = self::tree(&text::without(&prepared, &said.missing), &options)?;
     }
     warnings.extend(said.warnings);
     let tree = tree.map_err(|error| match error {
@@ -112,7 +121,10 @@ pub fn read_svg_with(text: &str, font: &TextFont) -> Result<Artwork, DrawingErro
         page_mm,
         layer_ids: head.layer_ids,
         by_label: !head.layers.is_empty(),
-        layer_names: HashMap::new(),
+        // A label may equal the name of a colour; the first one counts.
+        layer_names: (head.layers.iter().enumerate().rev())
+            .map(|(number, layer)| (layer.name.clone(), number))
+            .collect(),
         drawn_layers: HashSet::new(),
         layers: head.layers,
         strokes: Vec::new(),
@@ -139,11 +151,19 @@ fn check_place(at: Point) -> Result<(), DrawingError> {
     })
 }
 
-/// usvg's tree of a file, and usvg's messages about it.
-fn tree(text: &str, options: &usvg::Options) -> (Result<usvg::Tree, usvg::Error>, Said) {
-    let collected = Collected::begin();
-    let tree = usvg::Tree::from_str(text, options);
-    (tree, collected.end())
+/// usvg's tree of a file, and usvg's messages about it; a thread without memory for its stack is an error.
+fn tree(text: &str, options: &usvg::Options) -> io::Result<(Result<usvg::Tree, usvg::Error>, Said)> {
+    let read = || {
+        let collected = Collected::begin();
+        let tree = usvg::Tree::from_str(text, options);
+        (tree, collected.end())
+    };
+    thread::scope(|scope| {
+        let reading = thread::Builder::new()
+            .stack_size(STACK_BYTES)
+            .spawn_scoped(scope, read)?;
+        Ok(reading.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
+    })
 }
 
 fn syntax(error: &usvg::roxmltree::Error) -> DrawingError {
@@ -174,7 +194,7 @@ struct Reader {
     layer_ids: HashMap<String, usize>,
     by_label: bool,
     layers: Vec<Layer>,
-    /// The layer of each colour.
+    /// The layer of each label and each colour.
     layer_names: HashMap<String, usize>,
     /// Layers with a stroke.
     drawn_layers: HashSet<usize>,
@@ -309,11 +329,8 @@ impl Reader {
         };
         let layers = &mut self.layers;
         *self.layer_names.entry(name.clone()).or_insert_with(|| {
-            // A label may equal the name of a colour.
-            layers.iter().position(|layer| layer.name == name).unwrap_or_else(|| {
-                layers.push(Layer { name, colour });
-                layers.len() - 1
-            })
+            layers.push(Layer { name, colour });
+            layers.len() - 1
         })
     }
 
@@ -339,25 +356,30 @@ impl Reader {
         }
         let mut lines: Vec<Vec<Point>> = Vec::new();
         let mut points: Vec<Point> = Vec::new();
-        let mut total = 0_usize;
-        kurbo::flatten(&shape, TOLERANCE_MM, |element| {
-            total += 1;
-            match element {
-                PathEl::MoveTo(to) => lines.push(std::mem::replace(&mut points, vec![[to.x, to.y]])),
-                PathEl::LineTo(to) if total <= POINTS_MAX => points.push([to.x, to.y]),
-                PathEl::ClosePath => {
-                    if self.is_open {
-                        lines.push(std::mem::take(&mut points));
-                    } else if let Some(&first) = points.first() {
-                        points.push(first);
-                        lines.push(std::mem::replace(&mut points, vec![first]));
+        let total = Cell::new(0_usize);
+        let elements = shape.elements().iter().copied();
+        kurbo::flatten(
+            elements.take_while(|_| total.get() <= POINTS_MAX),
+            TOLERANCE_MM,
+            |element| {
+                total.set(total.get() + 1);
+                match element {
+                    PathEl::MoveTo(to) => lines.push(std::mem::replace(&mut points, vec![[to.x, to.y]])),
+                    PathEl::LineTo(to) if total.get() <= POINTS_MAX => points.push([to.x, to.y]),
+                    PathEl::ClosePath => {
+                        if self.is_open {
+                            lines.push(std::mem::take(&mut points));
+                        } else if let Some(&first) = points.first() {
+                            points.push(first);
+                            lines.push(std::mem::replace(&mut points, vec![first]));
+                        }
                     }
+                    _ => {}
                 }
-                _ => {}
-            }
-        });
+            },
+        );
         lines.push(points);
-        if total > POINTS_MAX {
+        if total.get() > POINTS_MAX {
             return Err(DrawingError::TooManyPoints { points_max: POINTS_MAX });
         }
         let mut kept = Vec::with_capacity(lines.len());

@@ -9,6 +9,9 @@ use std::fs::File;
 use std::io::{self, BufReader};
 use std::path::Path;
 
+/// Largest configuration read from a recording, bytes.
+const CONFIG_BYTES_MAX: usize = 256 << 10;
+
 /// One entry of a recording.
 #[derive(Clone, Debug, PartialEq)]
 pub enum RecordingEntry {
@@ -59,7 +62,10 @@ impl<R: Source> Playback<R> {
 
     /// The configuration that was in effect.
     pub fn config(&self) -> Option<Config> {
-        let text = std::str::from_utf8(self.reader.attachment("etherpen.toml")?).ok()?;
+        let bytes = self.reader.attachment("etherpen.toml")?;
+        let text = std::str::from_utf8(bytes)
+            .ok()
+            .filter(|text| text.len() <= CONFIG_BYTES_MAX)?;
         toml::from_str(text).ok()
     }
 
@@ -108,6 +114,12 @@ impl<R: Source> Playback<R> {
                 Notice::Malformed { kind } => format!("a record of kind {kind} is damaged and left out"),
             })
             .collect();
+        if self.reader.notices_left_out() > 0 {
+            notices.push(format!(
+                "{} more places are damaged and left out",
+                self.reader.notices_left_out()
+            ));
+        }
         if self.foreign > 0 {
             notices.push(format!(
                 "{} messages are none of a recording and left out",

@@ -61,12 +61,12 @@ pub(super) fn farthest_line(text: &str) -> Option<usize> {
     Some(line_of(&document, &farthest.1))
 }
 
-fn line_of(document: &Document, node: &XmlNode) -> usize {
+pub(super) fn line_of(document: &Document, node: &XmlNode) -> usize {
     document.text_pos_at(node.range().start).row as usize
 }
 
 /// Finds the numbers in a text; a sign or a second decimal point starts the next number.
-fn each_number(text: &str, found: &mut impl FnMut(f64)) {
+pub(super) fn each_number(text: &str, found: &mut impl FnMut(f64)) {
     let (mut begin, mut has_point, mut last) = (0, false, ' ');
     let mut take = |word: Option<&str>| {
         if let Some(number) = word.and_then(|word| word.parse::<f64>().ok()) {

@@ -5,11 +5,14 @@
 
 use super::super::bytes::Numbers;
 use super::{CRC, MAGIC, kind};
+use std::collections::HashMap;
 use std::fs::File;
 use std::io::{self, BufReader, PipeReader, Read};
 
 /// Longest record read into memory, bytes; all records of a recording are shorter.
 const RECORD_BYTES_MAX: u64 = 64 << 20;
+/// Most notices kept; further ones are counted.
+const NOTICES_MAX: usize = 100;
 
 /// Source of a file.
 pub trait Source: Read {
@@ -86,13 +89,15 @@ pub struct Reader<R> {
     /// First time of the file, ns.
     start_ns: Option<u64>,
     /// Topics by channel number.
-    topics: Vec<(u16, String)>,
+    topics: HashMap<u16, String>,
     attachments: Vec<(String, Vec<u8>)>,
     metadata: Vec<(String, Vec<(String, String)>)>,
     /// Records of the open chunk, and how far they have been read.
     chunk: Vec<u8>,
     read: usize,
     notices: Vec<Notice>,
+    /// Number of notices that were not kept.
+    notices_left_out: u64,
     ending: Option<Ending>,
 }
 
@@ -119,12 +124,13 @@ impl<R: Source> Reader<R> {
             source,
             range_ns: (0, u64::MAX),
             start_ns: None,
-            topics: Vec::new(),
+            topics: HashMap::new(),
             attachments: Vec::new(),
             metadata: Vec::new(),
             chunk: Vec::new(),
             read: 0,
             notices: Vec::new(),
+            notices_left_out: 0,
             ending: None,
         })
     }
@@ -161,9 +167,22 @@ impl<R: Source> Reader<R> {
         &self.metadata
     }
 
-    /// Damage found so far.
+    /// Damage found so far: the first hundred places.
     pub fn notices(&self) -> &[Notice] {
         &self.notices
+    }
+
+    /// How many more damaged places were found.
+    pub fn notices_left_out(&self) -> u64 {
+        self.notices_left_out
+    }
+
+    fn notice(&mut self, notice: Notice) {
+        if self.notices.len() < NOTICES_MAX {
+            self.notices.push(notice);
+        } else {
+            self.notices_left_out += 1;
+        }
     }
 
     /// How the file ended, once there are no more messages.
@@ -184,9 +203,9 @@ impl<R: Source> Reader<R> {
                 None => self.next_record()?,
             }
         };
-        let topic = self.topics.iter().find(|(id, _)| *id == found.channel);
+        let topic = self.topics.get(&found.channel);
         Ok(Some(Message {
-            topic: topic.map_or("", |(_, name)| name),
+            topic: topic.map_or("", String::as_str),
             time_ns: found.time_ns,
             data: self.chunk.get(found.begin..found.end).unwrap_or(&[]),
         }))
@@ -223,7 +242,7 @@ impl<R: Source> Reader<R> {
                             end,
                         });
                     }
-                    self.notices.push(Notice::Malformed { kind });
+                    self.notice(Notice::Malformed { kind });
                 }
                 kind::CHANNEL => {
                     let content = self.chunk.get(begin..end).unwrap_or(&[]).to_vec();
@@ -262,7 +281,7 @@ impl<R: Source> Reader<R> {
             kind::ATTACHMENT => self.take_attachment(content),
             kind::METADATA => match metadata(content) {
                 Some(metadata) => self.metadata.push(metadata),
-                None => self.notices.push(Notice::Malformed { kind }),
+                None => self.notice(Notice::Malformed { kind }),
             },
             // A message outside a chunk counts as a chunk.
             _ => {
@@ -311,7 +330,7 @@ impl<R: Source> Reader<R> {
             )));
         }
         let Some(rest) = length.checked_sub(CHUNK_TIMES + 4) else {
-            self.notices.push(Notice::Malformed { kind: kind::CHUNK });
+            self.notice(Notice::Malformed { kind: kind::CHUNK });
             return Ok(());
         };
         let first_ns = *self.start_ns.get_or_insert(start_ns);
@@ -330,7 +349,7 @@ impl<R: Source> Reader<R> {
         let whole = self.chunk.len() as u64 == size;
         if whole && crc != 0 && crc != CRC.checksum(&self.chunk) {
             self.chunk.clear();
-            self.notices.push(Notice::DamagedChunk { start_ns, end_ns });
+            self.notice(Notice::DamagedChunk { start_ns, end_ns });
         }
         Ok(())
     }
@@ -339,11 +358,9 @@ impl<R: Source> Reader<R> {
         let mut fields = Fields::new(content);
         match (fields.short(), fields.short(), fields.text()) {
             (Some(id), Some(_), Some(topic)) => {
-                if !self.topics.iter().any(|(known, _)| *known == id) {
-                    self.topics.push((id, topic.to_owned()));
-                }
+                self.topics.entry(id).or_insert_with(|| topic.to_owned());
             }
-            _ => self.notices.push(Notice::Malformed { kind: kind::CHANNEL }),
+            _ => self.notice(Notice::Malformed { kind: kind::CHANNEL }),
         }
     }
 
@@ -362,7 +379,7 @@ impl<R: Source> Reader<R> {
         };
         match data {
             Some((name, data)) => self.attachments.push((name.to_owned(), data.to_vec())),
-            None => self.notices.push(Notice::Malformed { kind: kind::ATTACHMENT }),
+            None => self.notice(Notice::Malformed { kind: kind::ATTACHMENT }),
         }
     }
 }
