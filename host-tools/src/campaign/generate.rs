@@ -4,7 +4,7 @@
 //! so that small values are as likely as large ones.
 
 use super::episode::{Episode, Event, Figure, What, Wish};
-use super::trouble;
+use super::{figures, trouble};
 use clap::ValueEnum;
 use etherpen::config::Config;
 use etherpen::messages::Command;
@@ -72,8 +72,6 @@ impl Chance {
 
 /// Longest time of an episode before everything is healed, ms.
 const DURATION_MAX_MS: f64 = 25_000.0;
-/// Half the side of the square in which figures lie, mm.
-const FIGURE_MM: f64 = 90.0;
 /// Most events of an episode.
 const EVENTS_MAX: u64 = 14;
 
@@ -82,7 +80,7 @@ const EVENTS_MAX: u64 = 14;
 pub fn episode(seed: u64, profile: Profile) -> Episode {
     let mut chance = Chance::new(seed ^ 0x5EED_0000_0000_0000);
     let duration_ms = chance.scaled(3_000.0, DURATION_MAX_MS) as u32;
-    let figures: Vec<Figure> = (0..1 + chance.below(3)).map(|_| figure(&mut chance)).collect();
+    let figures: Vec<Figure> = (0..1 + chance.below(3)).map(|_| figures::figure(&mut chance)).collect();
     let wishes = (0..1 + chance.below(6))
         .map(|_| wish(&mut chance, figures.len()))
         .collect();
@@ -210,26 +208,6 @@ fn wish(chance: &mut Chance, figures: usize) -> Wish {
         8 => chance.one_of(&[Wish::Pen, Wish::Disable]),
         _ => Wish::Override(chance.one_of(&[10, 50, 100, 150, 200])),
     }
-}
-
-/// Strokes with steps of one scale each, from micrometres to the width of the paper.
-fn figure(chance: &mut Chance) -> Figure {
-    let strokes = (0..1 + chance.below(4)).map(|_| {
-        let mut at = [0.0; 2].map(|_: f64| chance.between(-0.8 * FIGURE_MM, 0.8 * FIGURE_MM));
-        let step_mm = chance.scaled(0.002, 80.0);
-        let mut points = vec![at];
-        for _ in 0..2 + chance.below(40) {
-            at = at.map(|mm| (mm + chance.between(-step_mm, step_mm)).clamp(-FIGURE_MM, FIGURE_MM));
-            points.push(at);
-        }
-        let mut points: Vec<[i32; 2]> = points
-            .iter()
-            .map(|point| point.map(|mm| (mm * 1e3).round() as i32))
-            .collect();
-        points.dedup();
-        points
-    });
-    Figure(strokes.collect())
 }
 
 /// Values that differ from the default configuration, with which the drives still follow well.
