@@ -12,6 +12,7 @@ use etherpen::motion::Pen;
 use etherpen::robots::Position;
 use etherpen_segment::random::Random;
 use std::collections::BTreeMap;
+use std::f64::consts::TAU;
 use toml::Value;
 
 /// Which faults an episode may have.
@@ -108,12 +109,13 @@ fn events(chance: &mut Chance, profile: Profile, duration_ms: u32) -> Vec<Event>
     for _ in 0..chance.below(EVENTS_MAX) {
         let in_a_burst = chance.one_in(3);
         at_ms = match in_a_burst {
-            true => at_ms + chance.below(5) as u32,
+            true => at_ms + chance.one_of(&[0, 0, 1, 4]),
             false => chance.below(duration_ms.into()) as u32,
         };
+        let what = what(chance, profile);
         events.push(Event {
             at_ms: at_ms.min(duration_ms),
-            what: what(chance, profile),
+            what,
         });
     }
     events.sort_by_key(|event| event.at_ms);
@@ -200,12 +202,48 @@ fn position(chance: &mut Chance) -> [f64; 3] {
     ]
 }
 
+/// A place near a border of the work area, on either side.
+fn near_a_border(chance: &mut Chance) -> [f64; 3] {
+    let area = Config::default().work_area;
+    let off_mm = chance.scaled(0.01, 20.0) * chance.one_of(&[-1.0, 1.0]);
+    let (direction_rad, z_mm) = (chance.between(0.0, TAU), chance.between(area.z_low_mm, area.z_high_mm));
+    let at = |radius_mm: f64, z_mm| [radius_mm * direction_rad.cos(), radius_mm * direction_rad.sin(), z_mm];
+    match chance.below(3) {
+        0 => at(chance.between(0.0, area.radius_mm), area.z_high_mm + off_mm),
+        1 => at(chance.between(0.0, area.radius_mm), area.z_low_mm + off_mm),
+        _ => at(area.radius_mm + off_mm, z_mm),
+    }
+}
+
+/// A velocity along one axis of the robot.
+fn straight(chance: &mut Chance) -> [f32; 3] {
+    let mut velocity_mm_s = [0.0; 3];
+    velocity_mm_s[chance.below(3) as usize] = (chance.scaled(0.5, 400.0) * chance.one_of(&[-1.0, 1.0])) as f32;
+    velocity_mm_s
+}
+
+/// Two or three commands for one millisecond.
+fn at_once(chance: &mut Chance) -> Vec<Command> {
+    let mut commands: Vec<Command> = (0..1 + chance.below(2)).map(|_| command(chance)).collect();
+    let place = chance.below(commands.len() as u64 + 1) as usize;
+    let first = if chance.one_in(2) {
+        Command::Home
+    } else {
+        command(chance)
+    };
+    commands.insert(place, first);
+    commands
+}
+
 fn wish(chance: &mut Chance, figures: usize) -> Wish {
-    match chance.below(10) {
-        0..=4 => Wish::Draw(chance.below(figures as u64) as usize),
-        5 => Wish::Move(position(chance)),
-        6 | 7 => Wish::Jog(velocity(chance), chance.milliseconds(1_500)),
-        8 => chance.one_of(&[Wish::Pen, Wish::Disable]),
+    match chance.below(16) {
+        0..=6 => Wish::Draw(chance.below(figures as u64) as usize),
+        7 => Wish::Move(position(chance)),
+        8 => Wish::Move(near_a_border(chance)),
+        9 => Wish::Jog(velocity(chance), chance.milliseconds(1_500)),
+        10 => Wish::Jog(straight(chance), chance.milliseconds(6_000)),
+        11 | 12 => Wish::AtOnce(at_once(chance)),
+        13 | 14 => chance.one_of(&[Wish::Pen, Wish::Disable]),
         _ => Wish::Override(chance.one_of(&[10, 50, 100, 150, 200])),
     }
 }
