@@ -113,6 +113,15 @@ fn events(chance: &mut Chance, profile: Profile, duration_ms: u32) -> Vec<Event>
             false => chance.below(duration_ms.into()) as u32,
         };
         let what = what(chance, profile);
+        if let What::Fault(words) = &what
+            && let Some(end) = trouble::end_of(chance, words)
+        {
+            let at_ms = at_ms.saturating_add(chance.milliseconds(3_000)).min(duration_ms);
+            events.push(Event {
+                at_ms,
+                what: What::Fault(end),
+            });
+        }
         events.push(Event {
             at_ms: at_ms.min(duration_ms),
             what,
