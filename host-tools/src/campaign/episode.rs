@@ -98,6 +98,8 @@ pub enum Wish {
     Disable,
     /// Change the override, percent.
     Override(u8),
+    /// Give several commands in one millisecond. Homing is done at the pose that the operator measures.
+    AtOnce(Vec<Command>),
 }
 
 /// A drawing: strokes of points, micrometres in the robot's x and y.

@@ -4,7 +4,7 @@
 //! so that small values are as likely as large ones.
 
 use super::episode::{Episode, Event, Figure, What, Wish};
-use super::trouble;
+use super::{figures, trouble};
 use clap::ValueEnum;
 use etherpen::config::Config;
 use etherpen::messages::Command;
@@ -12,6 +12,7 @@ use etherpen::motion::Pen;
 use etherpen::robots::Position;
 use etherpen_segment::random::Random;
 use std::collections::BTreeMap;
+use std::f64::consts::TAU;
 use toml::Value;
 
 /// Which faults an episode may have.
@@ -72,8 +73,6 @@ impl Chance {
 
 /// Longest time of an episode before everything is healed, ms.
 const DURATION_MAX_MS: f64 = 25_000.0;
-/// Half the side of the square in which figures lie, mm.
-const FIGURE_MM: f64 = 90.0;
 /// Most events of an episode.
 const EVENTS_MAX: u64 = 14;
 
@@ -82,7 +81,7 @@ const EVENTS_MAX: u64 = 14;
 pub fn episode(seed: u64, profile: Profile) -> Episode {
     let mut chance = Chance::new(seed ^ 0x5EED_0000_0000_0000);
     let duration_ms = chance.scaled(3_000.0, DURATION_MAX_MS) as u32;
-    let figures: Vec<Figure> = (0..1 + chance.below(3)).map(|_| figure(&mut chance)).collect();
+    let figures: Vec<Figure> = (0..1 + chance.below(3)).map(|_| figures::figure(&mut chance)).collect();
     let wishes = (0..1 + chance.below(6))
         .map(|_| wish(&mut chance, figures.len()))
         .collect();
@@ -110,12 +109,22 @@ fn events(chance: &mut Chance, profile: Profile, duration_ms: u32) -> Vec<Event>
     for _ in 0..chance.below(EVENTS_MAX) {
         let in_a_burst = chance.one_in(3);
         at_ms = match in_a_burst {
-            true => at_ms + chance.below(5) as u32,
+            true => at_ms + chance.one_of(&[0, 0, 1, 4]),
             false => chance.below(duration_ms.into()) as u32,
         };
+        let what = what(chance, profile);
+        if let What::Fault(words) = &what
+            && let Some(end) = trouble::end_of(chance, words)
+        {
+            let at_ms = at_ms.saturating_add(chance.milliseconds(3_000)).min(duration_ms);
+            events.push(Event {
+                at_ms,
+                what: What::Fault(end),
+            });
+        }
         events.push(Event {
             at_ms: at_ms.min(duration_ms),
-            what: what(chance, profile),
+            what,
         });
     }
     events.sort_by_key(|event| event.at_ms);
@@ -202,34 +211,50 @@ fn position(chance: &mut Chance) -> [f64; 3] {
     ]
 }
 
-fn wish(chance: &mut Chance, figures: usize) -> Wish {
-    match chance.below(10) {
-        0..=4 => Wish::Draw(chance.below(figures as u64) as usize),
-        5 => Wish::Move(position(chance)),
-        6 | 7 => Wish::Jog(velocity(chance), chance.milliseconds(1_500)),
-        8 => chance.one_of(&[Wish::Pen, Wish::Disable]),
-        _ => Wish::Override(chance.one_of(&[10, 50, 100, 150, 200])),
+/// A place near a border of the work area, on either side.
+fn near_a_border(chance: &mut Chance) -> [f64; 3] {
+    let area = Config::default().work_area;
+    let off_mm = chance.scaled(0.01, 20.0) * chance.one_of(&[-1.0, 1.0]);
+    let (direction_rad, z_mm) = (chance.between(0.0, TAU), chance.between(area.z_low_mm, area.z_high_mm));
+    let at = |radius_mm: f64, z_mm| [radius_mm * direction_rad.cos(), radius_mm * direction_rad.sin(), z_mm];
+    match chance.below(3) {
+        0 => at(chance.between(0.0, area.radius_mm), area.z_high_mm + off_mm),
+        1 => at(chance.between(0.0, area.radius_mm), area.z_low_mm + off_mm),
+        _ => at(area.radius_mm + off_mm, z_mm),
     }
 }
 
-/// Strokes with steps of one scale each, from micrometres to the width of the paper.
-fn figure(chance: &mut Chance) -> Figure {
-    let strokes = (0..1 + chance.below(4)).map(|_| {
-        let mut at = [0.0; 2].map(|_: f64| chance.between(-0.8 * FIGURE_MM, 0.8 * FIGURE_MM));
-        let step_mm = chance.scaled(0.002, 80.0);
-        let mut points = vec![at];
-        for _ in 0..2 + chance.below(40) {
-            at = at.map(|mm| (mm + chance.between(-step_mm, step_mm)).clamp(-FIGURE_MM, FIGURE_MM));
-            points.push(at);
-        }
-        let mut points: Vec<[i32; 2]> = points
-            .iter()
-            .map(|point| point.map(|mm| (mm * 1e3).round() as i32))
-            .collect();
-        points.dedup();
-        points
-    });
-    Figure(strokes.collect())
+/// A velocity along one axis of the robot.
+fn straight(chance: &mut Chance) -> [f32; 3] {
+    let mut velocity_mm_s = [0.0; 3];
+    velocity_mm_s[chance.below(3) as usize] = (chance.scaled(0.5, 400.0) * chance.one_of(&[-1.0, 1.0])) as f32;
+    velocity_mm_s
+}
+
+/// Two or three commands for one millisecond.
+fn at_once(chance: &mut Chance) -> Vec<Command> {
+    let mut commands: Vec<Command> = (0..1 + chance.below(2)).map(|_| command(chance)).collect();
+    let place = chance.below(commands.len() as u64 + 1) as usize;
+    let first = if chance.one_in(2) {
+        Command::Home
+    } else {
+        command(chance)
+    };
+    commands.insert(place, first);
+    commands
+}
+
+fn wish(chance: &mut Chance, figures: usize) -> Wish {
+    match chance.below(16) {
+        0..=6 => Wish::Draw(chance.below(figures as u64) as usize),
+        7 => Wish::Move(position(chance)),
+        8 => Wish::Move(near_a_border(chance)),
+        9 => Wish::Jog(velocity(chance), chance.milliseconds(1_500)),
+        10 => Wish::Jog(straight(chance), chance.milliseconds(6_000)),
+        11 | 12 => Wish::AtOnce(at_once(chance)),
+        13 | 14 => chance.one_of(&[Wish::Pen, Wish::Disable]),
+        _ => Wish::Override(chance.one_of(&[10, 50, 100, 150, 200])),
+    }
 }
 
 /// Values that differ from the default configuration, with which the drives still follow well.

@@ -13,6 +13,7 @@
 //! Invariant: equal episodes give equal results, on every computer.
 
 pub mod episode;
+mod figures;
 pub mod generate;
 mod ink;
 mod judge;

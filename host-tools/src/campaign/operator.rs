@@ -484,6 +484,15 @@ impl<'e> Operator<'e> {
             }
             Wish::Disable => self.say(Command::Disable),
             Wish::Override(percent) => self.say(Command::Override { percent: *percent }),
+            Wish::AtOnce(commands) => {
+                let pose = JointAngles(self.world.truth().angles_rad);
+                for command in commands {
+                    self.put_beside(match command {
+                        Command::Home => Command::HomeAt { pose, position: None },
+                        other => *other,
+                    });
+                }
+            }
         }
     }
 

@@ -4,6 +4,8 @@ use super::generate::Chance;
 
 /// Longest duration of a fault that ends by itself, ms.
 const LASTS_MAX_MS: u32 = 1_500;
+/// Longest time for which a feedback is frozen, ms.
+const STUCK_MAX_MS: u32 = 12_000;
 /// AL status codes that slaves give with a fall or a refusal.
 const CODES: [u16; 5] = [0, 0x001A, 0x001B, 0x002C, 0xFFFF];
 
@@ -53,6 +55,18 @@ pub(super) fn of_the_bus(chance: &mut Chance) -> String {
     }
 }
 
+/// The words that end a fault which does not end by itself, for one in two of these.
+pub(super) fn end_of(chance: &mut Chance, words: &str) -> Option<String> {
+    let mut parts = words.split(' ');
+    let end = match (parts.next()?, parts.next()?) {
+        ("sii", slave) => format!("sii {slave} whole"),
+        ("remove", slave) => format!("insert {slave}"),
+        ("cut", _) => "join".to_owned(),
+        _ => return None,
+    };
+    chance.one_in(2).then_some(end)
+}
+
 fn of_a_mailbox(chance: &mut Chance, slave: u64, lasts_ms: u32) -> String {
     let request = 1 + chance.below(12);
     match chance.below(6) {
@@ -72,7 +86,8 @@ pub(super) fn of_a_drive(chance: &mut Chance) -> String {
     match chance.below(9) {
         0 => format!("fault {slave} 0x2310"),
         1 => format!("mains {slave} {lasts_ms}"),
-        2 | 3 => format!("stuck {slave} {lasts_ms}"),
+        2 => format!("stuck {slave} {}", chance.milliseconds(STUCK_MAX_MS)),
+        3 => format!("stuck {slave} {lasts_ms}"),
         4 => format!("slip {slave} {} {lasts_ms}", chance.below(100)),
         5 => {
             let increments = chance.scaled(1.0, 600_000.0) as i64;
