@@ -81,7 +81,6 @@ pub fn read_svg_with(text: &str, font: &TextFont) -> Result<Artwork, DrawingErro
     if document.descendants().filter(|node| node.is_element()).count() > ELEMENTS_MAX {
         return Err(too_many);
     }
-    demands::check(&document)?;
     let head = Head::of(&document);
     if head.has_invalid_size {
         return Err(DrawingError::SvgSize);
@@ -91,6 +90,7 @@ pub fn read_svg_with(text: &str, font: &TextFont) -> Result<Artwork, DrawingErro
             place: FilePlace::Line(line),
         });
     }
+    demands::check(&document)?;
     let prepared = head.prepared(text);
     let fonts = Fonts::find(&document, font);
     drop(document);
