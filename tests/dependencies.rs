@@ -12,8 +12,13 @@ use std::process::Command;
 const CRATES_IO: &str = "registry+https://github.com/rust-lang/crates.io-index";
 /// Platforms that anything is built for.
 const PLATFORMS: [&str; 2] = ["x86_64-unknown-linux-gnu", "thumbv7em-none-eabihf"];
-/// Lock files of the workspace and of the two packages outside of it.
-const LOCKS: [&str; 3] = ["Cargo.lock", "benchmarks/Cargo.lock", "fuzz/Cargo.lock"];
+/// Lock files of the workspace and of the packages outside of it.
+const LOCKS: [&str; 4] = [
+    "Cargo.lock",
+    "benchmarks/Cargo.lock",
+    "fuzz/Cargo.lock",
+    "models/Cargo.lock",
+];
 
 /// Crates in several versions: name, number of versions, and why there is not only one.
 const SEVERAL: [(&str, usize, &str); 12] = [
@@ -197,7 +202,7 @@ fn every_dependency_has_an_allowed_licence_and_no_licence_is_allowed_in_vain() {
 #[test]
 fn every_dependency_comes_from_crates_io_or_from_this_workspace() {
     let packages = packages();
-    let mut own = BTreeSet::from(["benchmarks".to_owned(), "etherpen-fuzz".to_owned()]);
+    let mut own = BTreeSet::from(["benchmarks", "etherpen-fuzz", "etherpen-models"].map(str::to_owned));
     for package in packages {
         match &package.source {
             Some(source) => assert!(source == CRATES_IO, "{} is not from crates.io", package.name),

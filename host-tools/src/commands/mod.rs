@@ -17,6 +17,7 @@ pub mod flash;
 pub mod identify;
 pub mod kinematics;
 mod latency;
+mod nightly;
 pub mod operate;
 mod operator;
 pub mod order;

@@ -1,6 +1,6 @@
 //! `etherpen verify`: all checks of continuous integration in one command.
 
-use super::latency;
+use super::{latency, nightly};
 use crate::bench::BenchRow;
 use crate::bench::latency::{Disturbance, Isolation, LatencyPlan};
 use crate::error::{ProgramError, code};
@@ -11,7 +11,15 @@ use std::time::Instant;
 
 /// Options of `etherpen verify`.
 #[derive(clap::Args, Debug)]
-pub struct Arguments {}
+pub struct Arguments {
+    /// Do what takes longer than that instead, a day in all: campaigns, fuzzing, models, Miri, certificates, advisories.
+    /// Needs the nightly toolchain with Miri, cargo-fuzz and cargo-deny
+    #[arg(long)]
+    nightly: bool,
+    /// With --nightly: only the steps whose names begin with this word
+    #[arg(long, requires = "nightly", value_name = "STEP")]
+    only: Option<String>,
+}
 
 /// One step: its name, and cargo's arguments.
 type Step = (&'static str, &'static [&'static str]);
@@ -71,7 +79,10 @@ const BOARDS: [Step; 2] = [
 ///
 /// # Errors
 /// The first step that failed; it has reported why.
-pub fn run(_: &Arguments) -> Result<(), ProgramError> {
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
+    if arguments.nightly {
+        return nightly::run(arguments.only.as_deref());
+    }
     let start = Instant::now();
     announce("set-up");
     setup::ensure_sources()?;

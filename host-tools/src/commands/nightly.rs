@@ -1,0 +1,159 @@
+//! `etherpen verify --nightly`: what takes longer than continuous integration may.
+
+use crate::error::{ProgramError, code};
+use crate::setup;
+use crate::terminal::in_colour;
+use std::process::Command;
+use std::time::Instant;
+
+/// Robot time of each profile of the campaign, hours.
+const CAMPAIGN_HOURS: &str = "4";
+/// First seed and the one behind the last; an episode takes some seconds of robot time.
+const CAMPAIGN_SEEDS: &str = "0..100000";
+/// Profiles of the campaign.
+const PROFILES: [&str; 7] = ["all", "quiet", "bus", "drives", "link", "board", "operator"];
+/// Time for each fuzz target, s.
+const FUZZ_S: u32 = 600;
+
+/// A step: its name, and cargo's arguments.
+struct Step {
+    name: String,
+    arguments: Vec<String>,
+    /// For Miri.
+    environment: &'static [(&'static str, &'static str)],
+}
+
+impl Step {
+    fn new(name: &str, arguments: &str) -> Self {
+        Self {
+            name: name.to_owned(),
+            arguments: arguments.split(' ').map(str::to_owned).collect(),
+            environment: &[],
+        }
+    }
+}
+
+/// All steps, the shorter ones first.
+fn steps() -> Vec<Step> {
+    let mut steps = vec![
+        Step::new("models", "test --release --manifest-path models/Cargo.toml"),
+        Step {
+            environment: &[("MIRIFLAGS", "-Zmiri-ignore-leaks")],
+            ..Step::new(
+                "miri",
+                "+nightly miri test -p etherpen-ethercat --lib -- exchange_tests encapsulation_tests telegram acyclic \
+                 frame_port",
+            )
+        },
+        Step::new("advisories", "deny check"),
+        Step::new(
+            "limits",
+            "test --release -p etherpen-fuzzing --test limits -- --ignored --nocapture",
+        ),
+    ];
+    steps.extend(PROFILES.map(|profile| {
+        let arguments = format!(
+            "run --release --bin etherpen -- campaign --profile {profile} --seeds {CAMPAIGN_SEEDS} --hours {CAMPAIGN_HOURS} \
+             --cases target/campaign/{profile}"
+        );
+        Step::new(&format!("campaign-{profile}"), &arguments)
+    }));
+    steps.extend(targets().iter().map(|target| {
+        let arguments = format!(
+            "+nightly fuzz run {target} target/found/{target} fuzz/corpus/{target} -- -max_total_time={FUZZ_S} -timeout=10 \
+             -rss_limit_mb=1024"
+        );
+        Step::new(&format!("fuzz-{target}"), &arguments)
+    }));
+    steps.push(Step::new(
+        "certificates",
+        "test --release -p etherpen-certify -- --ignored --nocapture",
+    ));
+    steps
+}
+
+/// The fuzz targets, by the folders of their inputs.
+fn targets() -> Vec<String> {
+    let folder = setup::ensure_sources().map(|sources| sources.join("fuzz/corpus"));
+    let entries = folder.ok().and_then(|folder| std::fs::read_dir(folder).ok());
+    let names = entries.into_iter().flatten().flatten();
+    let mut targets: Vec<String> = names.filter_map(|entry| entry.file_name().into_string().ok()).collect();
+    targets.sort();
+    targets
+}
+
+/// Runs all steps, or those whose names begin with a word; a step that fails does not keep the others from running.
+///
+/// # Errors
+/// The steps that failed; they have reported why. No step has such a name.
+pub(super) fn run(only: Option<&str>) -> Result<(), ProgramError> {
+    let mut steps = steps();
+    if let Some(word) = only {
+        let names: Vec<&str> = steps.iter().map(|step| step.name.as_str()).collect();
+        let names = names.join(", ");
+        steps.retain(|step| step.name.starts_with(word));
+        if steps.is_empty() {
+            return Err(ProgramError::new(
+                code::USAGE,
+                format!("no step {word}; there are {names}"),
+            ));
+        }
+    }
+    let mut failed = Vec::new();
+    for step in &steps {
+        eprintln!("{} {}", in_colour("nightly", "1;36"), step.name);
+        let begun = Instant::now();
+        if !succeeds(step)? {
+            failed.push(step.name.as_str());
+        }
+        eprintln!("{}: {:.0} s", step.name, begun.elapsed().as_secs_f64());
+    }
+    match failed.is_empty() {
+        true => Ok(()),
+        false => Err(ProgramError::new(
+            code::FAILED,
+            format!("failed: {}", failed.join(", ")),
+        )),
+    }
+}
+
+/// Whether a step succeeds.
+fn succeeds(step: &Step) -> Result<bool, ProgramError> {
+    let sources = setup::ensure_sources()?;
+    if let Some(target) = step.name.strip_prefix("fuzz-") {
+        let found = sources.join("target/found").join(target);
+        std::fs::create_dir_all(&found)
+            .map_err(|error| ProgramError::new(code::FAILED, format!("{}: {error}", found.display())))?;
+    }
+    let status = Command::new("cargo")
+        .args(&step.arguments)
+        .envs(step.environment.iter().copied())
+        .env_remove("RUSTUP_TOOLCHAIN")
+        .current_dir(sources)
+        .status()
+        .map_err(|error| ProgramError::new(code::FAILED, format!("cargo: {error}")))?;
+    Ok(status.success())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_step_has_a_name_of_its_own_and_every_fuzz_target_is_among_them() {
+        let steps = steps();
+        let mut names: Vec<&str> = steps.iter().map(|step| step.name.as_str()).collect();
+        let count = names.len();
+        names.sort_unstable();
+        names.dedup();
+        assert_eq!(names.len(), count);
+        let targets = steps.iter().filter(|step| step.name.starts_with("fuzz-")).count();
+        assert!(targets >= 19, "{targets}");
+    }
+
+    #[test]
+    fn a_step_that_does_not_exist_is_refused_with_the_names() {
+        let refused = run(Some("nothing")).unwrap_err();
+        assert!(refused.message.contains("campaign-bus"), "{}", refused.message);
+    }
+}
