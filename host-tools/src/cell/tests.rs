@@ -323,7 +323,7 @@ fn under_a_pi_loop_the_joints_reach_their_speed_and_the_brakes_hold_them() {
 
 #[test]
 fn a_payload_lets_main_axes_in_torque_mode_fall_by_their_weight() {
-    // Arms that carry a platform of 1.6 kg instead of 0.6 kg need more torque: what just holds the empty one is too little.
+    // Main axes that carry 1.6 kg instead of 0.6 kg need more torque: what just holds the empty platform is too little.
     let loaded = Physics {
         payload: Payload { mass_kg: 1.0 },
         ..Physics::NOMINAL

@@ -17,12 +17,12 @@ fn friction() -> Friction {
     }
 }
 
-fn delta() -> Mechanism {
+fn whole() -> Mechanism {
     Mechanism::new(&Geometry::default())
 }
 
-/// Three arms without forearms, which nothing couples; gravity vanishes where they hang.
-fn arms() -> Mechanism {
+/// Three main axes that nothing couples; gravity vanishes where their links hang.
+fn uncoupled() -> Mechanism {
     Mechanism::new(&Geometry {
         forearm_mm: 1.0,
         ..Geometry::default()
@@ -100,7 +100,7 @@ fn a_joint_stays_at_rest_below_the_breakaway_torque_and_moves_above_it() {
     let breakaway_nm = 1.2 * 1.3;
     for (extra_nm, moves) in [(0.98 * breakaway_nm, false), (1.02 * breakaway_nm, true)] {
         for sign in [-1.0, 1.0] {
-            let mut rig = Rig::new(delta(), friction(), 0.0, POSE);
+            let mut rig = Rig::new(whole(), friction(), 0.0, POSE);
             let mut torques = rig.hold_nm();
             torques[0] += sign * extra_nm;
             (0..SECOND / 4).for_each(|_| rig.step(torques));
@@ -115,7 +115,7 @@ fn a_joint_stays_at_rest_below_the_breakaway_torque_and_moves_above_it() {
 
 #[test]
 fn between_sliding_and_breakaway_torque_a_joint_keeps_moving_but_does_not_start() {
-    let mut rig = Rig::new(arms(), friction(), 0.0, [FRAC_PI_2; MAIN_AXES]);
+    let mut rig = Rig::new(uncoupled(), friction(), 0.0, [FRAC_PI_2; MAIN_AXES]);
     rig.speeds = [0.3, 0.0, 0.0];
     for _ in 0..SECOND / 50 {
         let mut torques = rig.hold_nm();
@@ -136,7 +136,7 @@ fn a_sliding_joint_slows_down_by_friction_over_inertia_and_stops_without_chatter
         stiction_factor: 1.0,
         ..friction()
     };
-    let mut rig = Rig::new(arms(), coulomb, 0.0, [FRAC_PI_2; MAIN_AXES]);
+    let mut rig = Rig::new(uncoupled(), coulomb, 0.0, [FRAC_PI_2; MAIN_AXES]);
     let inertia_kg_m2 = rig.coupled.mechanism.equation(rig.angles, rig.speeds, ROTORS).inertia[0][0];
     rig.speeds[0] = 0.5;
     let (mut steps, mut signs) = (0, 0);
@@ -158,7 +158,7 @@ fn a_sliding_joint_slows_down_by_friction_over_inertia_and_stops_without_chatter
 #[test]
 fn without_torque_energy_never_grows() {
     for gap_rad in [0.0, 1e-3] {
-        let mut rig = Rig::new(delta(), friction(), gap_rad, POSE);
+        let mut rig = Rig::new(whole(), friction(), gap_rad, POSE);
         rig.speeds = [2.0, -1.5, 1.0];
         if let Some(load) = &mut rig.coupled.load {
             load.speeds = rig.speeds;
@@ -188,7 +188,7 @@ fn without_torque_energy_never_grows() {
 #[test]
 fn a_reversal_loses_exactly_the_gap() {
     let gap_rad = 1e-3;
-    let mut rig = Rig::new(arms(), friction(), gap_rad, [FRAC_PI_2; MAIN_AXES]);
+    let mut rig = Rig::new(uncoupled(), friction(), gap_rad, [FRAC_PI_2; MAIN_AXES]);
     // Gravity vanishes where the arms hang and pulls them back there from both sides, so it presses on the driving flank.
     (0..200).for_each(|_| rig.impose([1.0; MAIN_AXES]));
     let forwards_rad = rig.play_rad();
@@ -202,7 +202,7 @@ fn a_reversal_loses_exactly_the_gap() {
 fn gravity_keeps_the_flank_through_a_slow_reversal_and_loses_it_above_its_acceleration() {
     let gap_rad = 3e-4;
     let lost = |acceleration_rad_s2: f64| {
-        let mut rig = Rig::new(delta(), friction(), gap_rad, [0.4; MAIN_AXES]);
+        let mut rig = Rig::new(whole(), friction(), gap_rad, [0.4; MAIN_AXES]);
         (0..SECOND / 20).for_each(|_| rig.impose([0.0; MAIN_AXES]));
         let resting_rad = rig.play_rad();
         assert!(
@@ -220,7 +220,7 @@ fn gravity_keeps_the_flank_through_a_slow_reversal_and_loses_it_above_its_accele
         most
     };
     // Free fall of this pose, from the equation of motion.
-    let equation = delta().equation([0.4; MAIN_AXES], [0.0; MAIN_AXES], [0.0; MAIN_AXES]);
+    let equation = whole().equation([0.4; MAIN_AXES], [0.0; MAIN_AXES], [0.0; MAIN_AXES]);
     let inverse = invert(equation.inertia);
     let fall_rad_s2: f64 = (0..MAIN_AXES).map(|j| inverse[0][j] * equation.weight_nm[j]).sum();
     assert!(lost(0.9 * fall_rad_s2) < 1e-9);
@@ -230,11 +230,11 @@ fn gravity_keeps_the_flank_through_a_slow_reversal_and_loses_it_above_its_accele
 #[test]
 fn torques_without_sense_leave_finite_speeds() {
     for gap_rad in [0.0, 1e-3] {
-        let mut rig = Rig::new(delta(), friction(), gap_rad, POSE);
+        let mut rig = Rig::new(whole(), friction(), gap_rad, POSE);
         for torque_nm in [1e6, -1e6, 0.0] {
             (0..100).for_each(|_| rig.step([torque_nm; MAIN_AXES]));
         }
-        let mut undefined = Rig::new(delta(), friction(), gap_rad, [f64::NAN; MAIN_AXES]);
+        let mut undefined = Rig::new(whole(), friction(), gap_rad, [f64::NAN; MAIN_AXES]);
         (0..10).for_each(|_| undefined.step([1.0; MAIN_AXES]));
     }
 }
