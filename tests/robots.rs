@@ -27,6 +27,7 @@ const KINDS: [Kind; 1] = [Kind {
         "crates/monitor/src/robot/delta.rs",
         "crates/motion/src/robots/delta/",
         "host-tools/src/campaign/robot/delta.rs",
+        "host-tools/src/cell/calibration.rs",
         "host-tools/src/cell/mechanism/delta.rs",
         "host-tools/src/planning/dimensions.rs",
         "host-tools/assets/console/robot_delta.js",

@@ -28,6 +28,8 @@ use crate::settings::Settings;
 pub const QUEUE_VERTICES: usize = QUEUE;
 /// Part of the lift below which a moving pen counts as down.
 const NEAR_PAPER: f64 = 0.5;
+/// Distance over the paper that a pen need not be lifted for, mm: less than the width of any line.
+const BESIDE_MM: f64 = 0.01;
 /// Bounds of the override, percent.
 const OVERRIDE_PERCENT: core::ops::RangeInclusive<u8> = 10..=200;
 
@@ -329,6 +331,10 @@ impl Motion {
     /// Lets a path begin with lifting the pen if it is near the paper: on its way to the first vertex it would leave ink.
     fn lift_first(&mut self, vertex: &Vertex) {
         let mut above = self.here.point;
+        let aside = (vertex.position.x_mm - above[0]).hypot(vertex.position.y_mm - above[1]);
+        if aside <= BESIDE_MM {
+            return;
+        }
         let near_paper = above[2] < self.pen_down_z_mm + NEAR_PAPER * self.pen_lift_mm;
         above[2] = self.pen_down_z_mm + self.pen_lift_mm;
         let is_free = || self.area.check(&above.into()).is_ok();

@@ -17,7 +17,7 @@ use super::physics::Friction;
 use etherpen::robots::MAIN_AXES;
 use etherpen_segment::{LOOP_STEP_S, LOOP_STEPS, STEP_S};
 
-/// Arms and platform behind gears with play.
+/// Links and platform behind gears with play.
 #[derive(Clone, Debug)]
 struct LoadSide {
     /// Half of the play at each joint, rad.

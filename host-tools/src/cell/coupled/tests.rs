@@ -45,7 +45,7 @@ impl Rig {
         }
     }
 
-    /// Torques that hold the arms against gravity, N m.
+    /// Torques that hold the links against gravity, N m.
     fn hold_nm(&self) -> MainAxes {
         let equation = self.coupled.mechanism.equation(self.angles, [0.0; MAIN_AXES], ROTORS);
         equation.weight_nm.map(|weight_nm| -weight_nm)
@@ -189,7 +189,7 @@ fn without_torque_energy_never_grows() {
 fn a_reversal_loses_exactly_the_gap() {
     let gap_rad = 1e-3;
     let mut rig = Rig::new(uncoupled(), friction(), gap_rad, [FRAC_PI_2; MAIN_AXES]);
-    // Gravity vanishes where the arms hang and pulls them back there from both sides, so it presses on the driving flank.
+    // Gravity vanishes where the links hang and pulls them back there from both sides, so it presses on the driving flank.
     (0..200).for_each(|_| rig.impose([1.0; MAIN_AXES]));
     let forwards_rad = rig.play_rad();
     (0..600).for_each(|_| rig.impose([-1.0; MAIN_AXES]));
@@ -207,9 +207,9 @@ fn gravity_keeps_the_flank_through_a_slow_reversal_and_loses_it_above_its_accele
         let resting_rad = rig.play_rad();
         assert!(
             (resting_rad - gap_rad / 2.0).abs() < 1e-9,
-            "the arms hang on their gears"
+            "the links hang on their gears"
         );
-        // Downwards with this acceleration: an arm whose gear runs away faster than it falls changes its flank.
+        // Downwards with this acceleration: a link whose gear runs away faster than it falls changes its flank.
         let mut speed = 0.0;
         let mut most: f64 = 0.0;
         for _ in 0..SECOND / 50 {

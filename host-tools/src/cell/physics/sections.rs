@@ -9,7 +9,7 @@ pub enum LoopKind {
     /// A first-order lag that no load disturbs.
     #[default]
     Lag,
-    /// A PI controller whose torque moves rotors, arms, platform and payload.
+    /// A PI controller whose torque moves rotors, links, platform and payload.
     Pi,
 }
 
@@ -115,9 +115,9 @@ pub struct StructuralMode {
 pub struct Calibration {
     /// Error of each synchronisation angle, mrad at the joint.
     pub sync_mrad: f64,
-    /// Error of base radius, upper arm and forearm of each arm, mm.
+    /// Error of each length of the robot, mm.
     pub length_mm: f64,
-    /// Error of each arm's azimuth, mrad.
+    /// Error of each azimuth, mrad.
     pub azimuth_mrad: f64,
 }
 
