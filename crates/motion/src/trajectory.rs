@@ -331,8 +331,8 @@ impl Motion {
     /// Lets a path begin with lifting the pen if it is near the paper: on its way to the first vertex it would leave ink.
     fn lift_first(&mut self, vertex: &Vertex) {
         let mut above = self.here.point;
-        let aside = (vertex.position.x_mm - above[0]).hypot(vertex.position.y_mm - above[1]);
-        if aside <= BESIDE_MM {
+        let (x, y) = (vertex.position.x_mm - above[0], vertex.position.y_mm - above[1]);
+        if x * x + y * y <= BESIDE_MM * BESIDE_MM {
             return;
         }
         let near_paper = above[2] < self.pen_down_z_mm + NEAR_PAPER * self.pen_lift_mm;
