@@ -3,8 +3,8 @@
 //! A planner has to draw what a digitiser, a hatching filter or a vectoriser sends: steps of single micrometres that
 //! turn back, short legs of nearly one length, dense parallels, spirals.
 
+use super::chance::Chance;
 use super::episode::Figure;
-use super::generate::Chance;
 use std::f64::consts::{PI, TAU};
 
 /// Half the side of the square in which figures lie, mm.

@@ -1,6 +1,6 @@
 //! The serial line between the operator's program and the board: whole, noisy or unplugged.
 
-use super::generate::Chance;
+use super::chance::Chance;
 
 /// The line.
 pub(super) struct Line {

@@ -12,6 +12,7 @@
 //!
 //! Invariant: equal episodes give equal results, on every computer.
 
+mod chance;
 pub mod episode;
 mod figures;
 pub mod generate;

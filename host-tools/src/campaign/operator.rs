@@ -4,8 +4,8 @@
 //! taken from the cell, as a person would measure it. When the episode's time is over, everything is healed; then the
 //! robot has to come back and draw [`test_figure`].
 
+use super::chance::Chance;
 use super::episode::{Episode, Event, Figure, What, Wish};
-use super::generate::Chance;
 use super::ink;
 use super::judge::{Judge, ink_limit_mm};
 use super::line::Line;

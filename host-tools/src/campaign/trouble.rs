@@ -1,6 +1,6 @@
 //! Random faults, in the words of the segment's script.
 
-use super::generate::Chance;
+use super::chance::Chance;
 
 /// Longest duration of a fault that ends by itself, ms.
 const LASTS_MAX_MS: u32 = 1_500;

@@ -84,6 +84,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let at = |step| Failure::of(slave.position, step);
         let strangers = self.strangers_between(number, places);
         let missing = self.missing_between(number, places);
+        // With all of them there, each has to be at its place.
+        let is_elsewhere = strangers.len() != missing.len();
         let by_order = self.rank_among(&strangers, &missing, number, places);
         let mut other = None;
         for (rank, place) in strangers.iter().enumerate() {
@@ -91,7 +93,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             let is_known = is_its_place && (by_order.is_some() || self.is_only_one(&slave, &missing));
             let fixed = self.fixed_at(*place).await.map_err(at(Step::Identify))?;
             match self.is_same(&slave, &fixed.identity) {
-                Ok(()) if is_known || has_serial_of(&slave, &fixed.identity) => {
+                Ok(()) if is_known || (is_elsewhere && has_serial_of(&slave, &fixed.identity)) => {
                     return discovery::assign_station(&mut self.port, *place, slave.station())
                         .await
                         .map_err(at(Step::Address));
