@@ -143,9 +143,14 @@ impl Disturbances {
         self.misreferenced || self.before_homing == Some(true)
     }
 
+    /// Whether the controller may believe the joints to be where they are not.
+    pub(crate) fn is_misled(&self) -> bool {
+        self.feedback() || self.misreferenced()
+    }
+
     /// Whether motors may move otherwise than the controller believes.
     pub(crate) fn moves_astray(&self) -> bool {
-        self.feedback() || self.misreferenced() || self.has_deaf_drive
+        self.is_misled() || self.has_deaf_drive
     }
 
     /// Whether the emergency-stop input was open so long that the controller may be stopping without having told it.

@@ -32,6 +32,8 @@ pub(crate) struct Motion {
     pub(crate) moves: bool,
     /// When the power of a drive last changed, ms.
     pub(crate) power_changed_ms: Option<u64>,
+    /// Whether a drive has got power in this millisecond.
+    pub(crate) got_power: bool,
 }
 
 impl Motion {
@@ -45,7 +47,7 @@ impl Motion {
         self.speeds_before_rad_s = self.speeds_rad_s;
         let mut turned = !self.is_steady;
         self.is_finite = true;
-        self.moves = false;
+        (self.moves, self.got_power) = (false, false);
         for (axis, joint) in moment.joints.iter().take(self.axes).enumerate() {
             self.is_finite &= joint.angle_rad.is_finite() && joint.speed_rad_s.is_finite();
             self.moves |= joint.speed_rad_s.abs() > STILL_RAD_S;
@@ -54,6 +56,7 @@ impl Motion {
             self.speeds_rad_s[axis] = joint.speed_rad_s;
             if self.has_power[axis] != joint.has_power {
                 self.has_power[axis] = joint.has_power;
+                self.got_power |= joint.has_power;
                 self.power_changed_ms = Some(moment.time_ms);
             }
         }

@@ -59,10 +59,26 @@ pub fn episode(seed: u64, profile: Profile) -> Episode {
         config: configuration(&mut chance),
         events: Vec::new(),
     };
+    if chance.one_in(5) {
+        soften(&mut episode, chance.scaled(0.5, 400.0));
+    }
     if profile != Profile::Quiet {
         episode.events = events(&mut chance, profile, duration_ms);
     }
     episode
+}
+
+/// Sets the deceleration of a quick stop, rad/s2, if the configuration may have it.
+fn soften(episode: &mut Episode, rad_s2: f64) {
+    let place = |axis| format!("axes.{axis}.quick_stop_rad_s2");
+    let axes = 0..Config::default().axes.len();
+    let value = Value::Float((rad_s2 * 1e3).round() / 1e3);
+    episode
+        .config
+        .extend(axes.clone().map(|axis| (place(axis), value.clone())));
+    if episode.configuration().is_err() {
+        axes.for_each(|axis| _ = episode.config.remove(&place(axis)));
+    }
 }
 
 /// Events at random times, now and then several in one burst.
@@ -234,7 +250,7 @@ fn configuration(chance: &mut Chance) -> BTreeMap<String, Value> {
     if chance.one_in(3) {
         values.insert(
             "motion.acceleration_mm_s2".into(),
-            rounded(chance.scaled(500.0, 12_000.0)),
+            rounded(chance.scaled(100.0, 12_000.0)),
         );
     }
     if chance.one_in(4) {

@@ -101,6 +101,10 @@ impl Orders {
             self.is_enabled = true;
             self.stop = None;
         }
+        if self.enabling.is_waiting() && motion.got_power {
+            // The answer is on its way, or it was lost.
+            self.stop = None;
+        }
         if self.moving.take_lost(now_ms) {
             self.begin(Order::Single);
         }
@@ -381,6 +385,11 @@ impl Orders {
     /// Largest override that may be in effect, percent.
     pub(crate) fn percent_max(&self, now_ms: u64) -> u8 {
         self.speed_override.largest(now_ms)
+    }
+
+    /// Whether the present stop is that of a restart.
+    pub(crate) fn has_restarted(&self) -> bool {
+        self.stop.as_ref().is_some_and(|stop| stop.cause == StopCause::Restart)
     }
 
     /// Whether a stop is in progress.

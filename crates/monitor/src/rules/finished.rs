@@ -2,8 +2,8 @@
 //!
 //! Each half millimetre of each leg with the pen down has a point of ink within the tolerance, the following error, and
 //! half the way of the pen in a millisecond at twice the drawing speed; a configured share of these places may have
-//! none. A drawing during which the feedback was not true, or a drive could not obey, is not judged: its ink is where
-//! the controller believed the pen to be.
+//! none. A drawing during which the feedback was not true is not judged: its ink is where the controller believed the
+//! pen to be. A drive that could not obey is no excuse: the controller has to notice that.
 
 use crate::scene::{Finding, Scene};
 use crate::violation::Rule;
@@ -55,6 +55,26 @@ mod tests {
         assert_eq!(rig.step(), Ok(()), "another job");
         rig.report(Report::Finished { job: JOB });
         assert!(broken(&rig.step(), Rule::Finished));
+    }
+
+    #[test]
+    fn a_drive_that_could_not_obey_is_no_excuse_and_false_feedback_is_one() {
+        let finished_short = |input: Input| {
+            let mut rig = Rig::drawing_on_paper();
+            rig.input(input);
+            assert_eq!(rig.go_to([38.0, 0.0, -850.0], 220), Ok(()));
+            rig.report(Report::Finished { job: JOB });
+            rig.step()
+        };
+        assert!(broken(
+            &finished_short(Input::Drive { axis: 0, deaf: true }),
+            Rule::Finished
+        ));
+        let disturbed = Input::Feedback {
+            axis: 0,
+            disturbed: true,
+        };
+        assert_eq!(finished_short(disturbed), Ok(()));
     }
 
     #[test]

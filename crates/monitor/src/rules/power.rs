@@ -4,10 +4,15 @@
 //! reported fault, a restart, and an accepted order to disable end the permission. The controller then waits at most
 //! 1,000 ms for a standstill and 100 ms for the brakes, and the drives follow within 100 ms. Drives that the telegrams
 //! do not reach take their watchdog's time in addition; a drive that cannot obey is not judged.
+//!
+//! On a machine that nothing disturbs, power is taken from joints that stand: its brake is no means of stopping a robot.
 
 use crate::cell::AXES_MAX;
 use crate::scene::{Finding, Scene};
 use crate::violation::Rule;
+
+/// Speed up to which a joint stands that loses its power, rad/s: motors creep into their last position.
+const STANDS_RAD_S: f64 = 0.1;
 
 /// The rule.
 #[derive(Clone, Debug, Default)]
@@ -19,6 +24,14 @@ impl Power {
     pub(crate) fn check(&mut self, scene: &Scene<'_>) -> Finding {
         let (motion, orders) = (scene.motion, scene.orders);
         let had_power = std::mem::replace(&mut self.had_power, motion.has_power);
+        let may_cut = scene.disturbances.may_race() || orders.has_restarted();
+        for axis in motion.each_axis().filter(|_| !may_cut) {
+            let speed = motion.speeds_before_rad_s[axis].abs();
+            if had_power[axis] && !motion.has_power[axis] && speed > STANDS_RAD_S {
+                let text = format!("drive {axis} loses its power at {speed:.3} rad/s");
+                return Err((Rule::Power, text));
+            }
+        }
         if orders.may_have_power() {
             return Ok(());
         }
@@ -84,6 +97,22 @@ mod tests {
             rig.power(false);
             assert_eq!(rig.run(500), Ok(()), "{command:?}");
         }
+    }
+
+    #[test]
+    fn power_is_taken_from_joints_that_stand() {
+        let lost_at = |rad_s: f64, input: Option<Input>| {
+            let mut rig = Rig::drawing();
+            rig.accelerate_to(rad_s);
+            assert_eq!(rig.run(4), Ok(()));
+            input.into_iter().for_each(|input| rig.input(input));
+            rig.power(false);
+            rig.step()
+        };
+        assert!(broken(&lost_at(0.5, None), Rule::Power));
+        assert_eq!(lost_at(0.05, None), Ok(()));
+        assert_eq!(lost_at(0.5, Some(Input::Machine { disturbed: true })), Ok(()));
+        assert_eq!(lost_at(0.5, Some(Input::Restarted)), Ok(()));
     }
 
     #[test]

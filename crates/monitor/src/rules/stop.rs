@@ -89,6 +89,24 @@ mod tests {
     }
 
     #[test]
+    fn a_stop_ends_with_the_power_of_an_enabling_whose_answer_is_lost() {
+        let mut rig = Rig::idle();
+        rig.command(Command::Stop);
+        assert_eq!(rig.run(1_150), Ok(()));
+        rig.power(false);
+        rig.input(Input::Commanded(Command::Acknowledge));
+        rig.report(Report::Fault(None));
+        assert_eq!(rig.run(200), Ok(()));
+        rig.input(Input::Commanded(Command::Enable));
+        assert_eq!(rig.run(50), Ok(()));
+        rig.power(true);
+        assert_eq!(rig.run(600), Ok(()));
+        rig.command(Command::Pen { down: false });
+        rig.accelerate_to(0.02);
+        assert_eq!(rig.run(300), Ok(()));
+    }
+
+    #[test]
     fn a_pulse_on_the_input_stops_nothing() {
         let mut rig = Rig::drawing();
         for _ in 0..10 {
