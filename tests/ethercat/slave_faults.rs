@@ -370,6 +370,28 @@ fn a_slave_that_is_replaced_during_repairs_while_those_behind_it_are_away_takes_
 }
 
 #[test]
+fn a_slave_that_returns_while_another_is_identified_at_its_place_loses_nothing() {
+    for delay_ms in 0..60 {
+        let mut rig = rig("");
+        rig.operational();
+        rig.run_ms(50);
+        for fault in [Fault::Remove(1), Fault::Swap(2, Product::Ax2000), Fault::Stall(23)] {
+            rig.cell.inject(fault);
+        }
+        rig.run_ms(300);
+        rig.recover();
+        rig.run_ms(delay_ms);
+        rig.cell.inject(Fault::Insert(1));
+        rig.run_ms(300);
+        for _ in 0..5 {
+            rig.recover();
+            rig.run_ms(700);
+        }
+        assert_well(&mut rig, &format!("{delay_ms} ms"));
+    }
+}
+
+#[test]
 fn another_product_in_a_slaves_place_is_refused_until_the_right_one_is_back() {
     for product in [Product::Cia402, Product::Ek1100] {
         let mut rig = rig("");

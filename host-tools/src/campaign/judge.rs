@@ -31,6 +31,10 @@ const INK_MISSING_BY_TORQUE: f64 = 0.01;
 /// Length of a gap that this leaves in a line, mm.
 const INK_MISSING_BY_TORQUE_MM: f64 = 1.0;
 
+/// How far the tool may be astray in torque mode while a feedback is not true, mm: a slip is not noticed there. What
+/// `docs/faults.md` shows for half of the motion lost.
+const ASTRAY_BY_TORQUE_MM: f64 = 240.0;
+
 /// The monitor, and what it has to be told in this millisecond.
 pub(super) struct Judge {
     monitor: Monitor,
@@ -386,6 +390,7 @@ pub(super) fn ink_limit_mm(config: &Config) -> f64 {
 
 /// The configuration in the monitor's numbers.
 fn cell(config: &Config) -> monitor::Cell {
+    let usual = monitor::Cell::default();
     let (motion, paper) = (&config.motion, &config.paper);
     let ranges_rad = robot::ranges_rad(&config.geometry);
     let joints = config
@@ -445,7 +450,12 @@ fn cell(config: &Config) -> monitor::Cell {
             OVERSHOOT
         },
         ink_missing_part: if by_torque(config) { INK_MISSING_BY_TORQUE } else { 0.0 },
+        disturbed_mm: if by_torque(config) {
+            ASTRAY_BY_TORQUE_MM
+        } else {
+            usual.disturbed_mm
+        },
         raw_wire: config.bus.transport == Transport::Raw,
-        ..monitor::Cell::default()
+        ..usual
     }
 }

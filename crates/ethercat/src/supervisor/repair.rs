@@ -56,7 +56,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         self.reach_operational(number).await
     }
 
-    /// The station addresses along the chain.
+    /// The station addresses along the chain. Temporary ones, which work that was dropped has left, are removed: two
+    /// slaves with the same one could not be told apart.
     pub(super) async fn places(&mut self) -> Result<Places, BusError> {
         let mut places = Places::new();
         let found = discovery::count(&mut self.port).await?;
@@ -67,6 +68,12 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             });
         }
         discovery::stations(&mut self.port, found, &mut places).await?;
+        for (place, station) in (0..).zip(&mut places) {
+            if *station == STATION_TEMPORARY {
+                discovery::assign_station(&mut self.port, place, 0).await?;
+                *station = 0;
+            }
+        }
         Ok(places)
     }
 

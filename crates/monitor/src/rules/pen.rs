@@ -42,19 +42,19 @@ impl Pen {
             (self.rest, self.ordered) = (Some(tool), Some(tool));
             return Ok(());
         }
-        let sag_mm = if scene.is_power_changing { SAG_MM } else { 0.0 };
-        if self
-            .rest
-            .is_some_and(|rest| beside(rest, tool) <= scene.bounds.drawn_mm + sag_mm)
-        {
-            return Ok(());
-        }
         if more_mm > 0.0
             && self
                 .ordered
                 .is_some_and(|place| length(subtract(tool, place)) <= more_mm)
         {
             self.rest = Some(tool);
+            return Ok(());
+        }
+        let sag_mm = if scene.is_power_changing { SAG_MM } else { 0.0 };
+        if self
+            .rest
+            .is_some_and(|rest| beside(rest, tool) <= scene.bounds.drawn_mm + sag_mm)
+        {
             return Ok(());
         }
         let [x, y, z] = tool;
@@ -122,15 +122,23 @@ mod tests {
 
     #[test]
     fn after_a_stop_the_pen_may_slide_and_stand_where_it_came_to_rest() {
-        let mut rig = Rig::drawing_on_paper();
-        assert_eq!(rig.go_to([20.0, 0.0, -850.0], 100), Ok(()));
-        rig.command(Command::Stop);
-        assert_eq!(rig.go_to([21.0, 1.2, -850.0], 10), Ok(()));
-        rig.report(Report::Mode(Mode::Fault));
-        rig.power(false);
-        assert_eq!(rig.run(2_000), Ok(()));
-        rig.input(Input::Commanded(Command::Acknowledge));
-        rig.report(Report::Fault(None));
-        assert_eq!(rig.run(500), Ok(()));
+        for is_cut in [false, true] {
+            let mut rig = Rig::drawing_on_paper();
+            assert_eq!(rig.go_to([20.0, 0.0, -850.0], 100), Ok(()));
+            rig.command(Command::Stop);
+            if is_cut {
+                // The mains fail, and the brakes close.
+                rig.disturb_machine(true);
+                rig.power(false);
+            }
+            assert_eq!(rig.go_to([21.0, 1.2, -850.0], 10), Ok(()));
+            rig.report(Report::Mode(Mode::Fault));
+            rig.power(false);
+            rig.disturb_machine(false);
+            assert_eq!(rig.run(2_000), Ok(()), "cut: {is_cut}");
+            rig.input(Input::Commanded(Command::Acknowledge));
+            rig.report(Report::Fault(None));
+            assert_eq!(rig.run(500), Ok(()));
+        }
     }
 }
