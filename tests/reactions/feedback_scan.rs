@@ -149,7 +149,7 @@ fn untrue_feedback_in_velocity_mode_is_noticed_before_the_pen_has_gone_far() {
     let table = scan(AxisMode::Velocity, CASES);
     println!("{}", rendered(&table));
     assert_within_limits(AxisMode::Velocity, &table);
-    compare("\n### Velocity mode\n", &rendered(&table));
+    compare("\n#### Velocity mode\n", &rendered(&table));
 }
 
 #[test]
@@ -157,7 +157,7 @@ fn untrue_feedback_in_torque_mode_is_noticed_before_the_pen_has_gone_far() {
     let table = scan(AxisMode::Torque, CASES);
     println!("{}", rendered(&table));
     assert_within_limits(AxisMode::Torque, &table);
-    compare("\n### Torque mode\n", &rendered(&table));
+    compare("\n#### Torque mode\n", &rendered(&table));
 }
 
 /// Drives a sound robot through some cases at a speed; returns the parts of their limits that the comparisons used.

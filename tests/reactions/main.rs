@@ -10,6 +10,7 @@ mod feedback;
 mod feedback_scan;
 mod feedback_soak;
 mod liveness;
+mod matrix;
 mod outside;
 mod robot;
 mod stale;

@@ -60,12 +60,16 @@ impl Monitor {
             self.take(input);
         }
         self.disturbances.step(moment.time_ms);
-        self.orders
-            .step(&self.cell, &self.bounds, &self.motion, &self.disturbances);
+        if self
+            .orders
+            .step(&self.cell, &self.bounds, &self.motion, &self.disturbances)
+        {
+            self.drawing.begin(&self.cell, &self.bounds);
+        }
         for report in moment.reports {
             self.disturbances.hear(report);
             self.orders.hear(&self.bounds, &self.motion, &self.disturbances, report);
-            self.drawing.hear(self.motion.tool, report);
+            self.drawing.hear(&self.cell, &self.bounds, report);
         }
         let is_stopping = self.orders.is_stopping(&self.bounds, moment.time_ms);
         let is_power_changing = scene::is_power_changing(&self.motion);

@@ -285,6 +285,11 @@ impl<L: Load> Segment<L> {
         &self.load
     }
 
+    /// What the motors turn, to change it.
+    pub fn load_mut(&mut self) -> &mut L {
+        &mut self.load
+    }
+
     /// Puts the boundaries half a millisecond away from a frame that is the first or comes after a long silence.
     fn follow(&mut self, time_us: u64) {
         let silent = self

@@ -110,7 +110,8 @@ fn events(chance: &mut Chance, profile: Profile, duration_ms: u32) -> Vec<Event>
     events
 }
 
-fn what(chance: &mut Chance, profile: Profile) -> What {
+/// One event.
+pub(super) fn what(chance: &mut Chance, profile: Profile) -> What {
     let profile = match profile {
         Profile::All | Profile::Quiet => chance.one_of(&[
             Profile::Bus,

@@ -16,9 +16,10 @@ use monitor::{Count, Input, Joint, Moment, Monitor, Report, WireFrame};
 
 /// Most frames of a millisecond that are judged.
 const FRAMES_MAX: usize = 16;
-/// How far the tool may be from its setpoint in velocity and in torque mode, mm.
+/// How far the tool may be from its setpoint in velocity and in torque mode, mm. Torque keeps 1.0 mm while it draws
+/// (`tests/drives.rs`) and 1.2 mm in travel at 1,000 mm/s.
 const FOLLOWING_MM: f64 = 0.3;
-const FOLLOWING_BY_TORQUE_MM: f64 = 1.0;
+const FOLLOWING_BY_TORQUE_MM: f64 = 1.3;
 /// By which part of its speed the tool may exceed it in velocity and in torque mode.
 const OVERSHOOT: f64 = 0.05;
 const OVERSHOOT_BY_TORQUE: f64 = 0.15;
@@ -138,6 +139,12 @@ impl Judge {
         if self.finished.replace(job) != Some(job) {
             self.reports.push(Report::Finished { job });
         }
+    }
+
+    /// The drawing that was reported last as executed to its end.
+    #[cfg(test)]
+    pub(super) fn finished(&self) -> Option<u16> {
+        self.finished
     }
 
     /// A status has arrived.

@@ -22,6 +22,8 @@ mod line;
 mod operator;
 mod robot;
 mod shrink;
+#[cfg(test)]
+mod soak;
 mod trouble;
 mod world;
 

@@ -161,6 +161,12 @@ impl<'e> Operator<'e> {
         self.failure
     }
 
+    /// The drawing that was reported last as executed to its end.
+    #[cfg(test)]
+    pub(super) fn finished(&self) -> Option<u16> {
+        self.judge.finished()
+    }
+
     fn fail(&mut self, rule: Rule, text: String) {
         self.failure.get_or_insert(Failure {
             time_ms: self.now_ms,

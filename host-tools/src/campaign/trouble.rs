@@ -55,16 +55,23 @@ pub(super) fn of_the_bus(chance: &mut Chance) -> String {
     }
 }
 
-/// The words that end a fault which does not end by itself, for one in two of these.
-pub(super) fn end_of(chance: &mut Chance, words: &str) -> Option<String> {
+/// The words that end a fault which does not end by itself.
+pub(super) fn end(words: &str) -> Option<String> {
     let mut parts = words.split(' ');
-    let end = match (parts.next()?, parts.next()?) {
-        ("sii", slave) => format!("sii {slave} whole"),
-        ("remove", slave) => format!("insert {slave}"),
-        ("cut", _) => "join".to_owned(),
-        _ => return None,
-    };
-    chance.one_in(2).then_some(end)
+    match (parts.next()?, parts.next()?) {
+        ("sii", slave) => Some(format!("sii {slave} whole")),
+        ("remove", slave) => Some(format!("insert {slave}")),
+        ("swap", slave) => Some(format!("swap {slave} ax2000")),
+        ("slip" | "reverse" | "jump", slave) => Some(format!("stuck {slave} 0")),
+        ("cut", _) => Some("join".to_owned()),
+        _ => None,
+    }
+}
+
+/// The words that end a fault which does not end by itself and needs nobody who puts it right, for one in two of these.
+pub(super) fn end_of(chance: &mut Chance, words: &str) -> Option<String> {
+    let end = end(words).filter(|end| !end.starts_with("swap") && !end.starts_with("stuck"));
+    end.filter(|_| chance.one_in(2))
 }
 
 fn of_a_mailbox(chance: &mut Chance, slave: u64, lasts_ms: u32) -> String {

@@ -65,6 +65,12 @@ impl World {
         self.0.borrow().0.truth()
     }
 
+    /// Puts an empty sheet in the place of the one with the ink.
+    #[cfg(test)]
+    pub(super) fn new_sheet(&self) {
+        self.0.borrow_mut().0.new_sheet();
+    }
+
     /// Calls `look` with the cell and the frames of this millisecond, and forgets the frames.
     pub(super) fn look<R>(&self, look: impl FnOnce(&Cell, &[Frame]) -> R) -> R {
         let mut world = self.0.borrow_mut();

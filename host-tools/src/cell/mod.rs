@@ -209,6 +209,12 @@ impl Cell {
         self.segment.load().sheet.ink()
     }
 
+    /// Puts an empty sheet in the place of the one with the ink.
+    #[cfg(test)]
+    pub(crate) fn new_sheet(&mut self) {
+        self.segment.load_mut().sheet.replace();
+    }
+
     /// EtherCAT frames received from the master.
     #[must_use]
     pub fn frames(&self) -> u64 {

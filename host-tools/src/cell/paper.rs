@@ -71,6 +71,12 @@ impl Sheet {
         &self.strokes
     }
 
+    /// Puts an empty sheet in this one's place. A pen that touches begins a stroke on it.
+    #[cfg(test)]
+    pub(super) fn replace(&mut self) {
+        (self.strokes, self.touching) = (Vec::new(), false);
+    }
+
     /// Whether the pen touches the sheet.
     pub(super) fn touching(&self) -> bool {
         self.touching

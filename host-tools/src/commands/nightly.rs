@@ -51,6 +51,10 @@ fn steps() -> Vec<Step> {
             "test --release -p etherpen-fuzzing --test limits -- --ignored --nocapture",
         ),
     ];
+    steps.push(Step::new(
+        "matrix",
+        "test --workspace --test reactions the_whole_fault_matrix -- --ignored",
+    ));
     steps.extend(PROFILES.map(|profile| {
         let arguments = format!(
             "run --release --bin etherpen -- campaign --profile {profile} --seeds {CAMPAIGN_SEEDS} --hours {CAMPAIGN_HOURS} \

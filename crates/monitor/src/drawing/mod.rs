@@ -46,8 +46,11 @@ pub(crate) struct Place {
 #[derive(Clone, Debug)]
 pub(crate) struct Drawing {
     job: Option<u16>,
-    /// The job that was ordered and has not begun.
+    /// The job that was ordered and is not answered, where the tool was then, and its vertices: place in the path,
+    /// position, whether the pen is down.
     next: Option<u16>,
+    ordered_at: Option<Vector>,
+    waiting: Vec<(u32, Vector, bool)>,
     end: Option<Vector>,
     legs: Vec<Leg>,
     grid: Grid,
@@ -73,6 +76,8 @@ impl Drawing {
         Self {
             job: None,
             next: None,
+            ordered_at: None,
+            waiting: Vec::new(),
             end: None,
             legs: Vec::new(),
             grid: Grid::new(CELL_MM),
@@ -93,7 +98,10 @@ impl Drawing {
     /// Takes an input; `tool` is where the tool is.
     pub(crate) fn take(&mut self, cell: &Cell, bounds: &Bounds, tool: Option<Vector>, input: &Input) {
         match *input {
-            Input::Commanded(Command::Draw { job }) => self.next = Some(job),
+            Input::Commanded(Command::Draw { job }) => {
+                (self.next, self.ordered_at) = (Some(job), tool);
+                self.waiting.clear();
+            }
             Input::Commanded(command @ Command::Move { position_mm }) => {
                 self.order_single(command, tool, position_mm, bounds);
             }
@@ -109,27 +117,28 @@ impl Drawing {
                 position_mm,
                 pen_down,
             } => {
-                if self.next == Some(job) && index == 0 {
-                    self.begin(job, tool);
-                }
-                if self.job == Some(job) && index >= self.vertices {
-                    self.vertices = index.saturating_add(1);
-                    if index == 0 && !pen_down {
-                        self.lift_first(cell, bounds);
-                    }
-                    self.append(position_mm, pen_down, bounds);
+                if self.next == Some(job) {
+                    self.waiting.push((index, position_mm, pen_down));
+                } else if self.job == Some(job) {
+                    self.go_on(cell, bounds, index, position_mm, pen_down);
                 }
             }
-            Input::Restarted => (self.job, self.next) = (None, None),
+            Input::Restarted => {
+                (self.job, self.next) = (None, None);
+                self.waiting.clear();
+            }
             _ => {}
         }
     }
 
     /// Takes a report.
-    pub(crate) fn hear(&mut self, tool: Option<Vector>, report: &Report) {
+    pub(crate) fn hear(&mut self, cell: &Cell, bounds: &Bounds, report: &Report) {
         match *report {
-            Report::Accepted(Command::Draw { job }) if self.next == Some(job) => self.begin(job, tool),
-            Report::Refused(Command::Draw { job }) if self.next == Some(job) => self.next = None,
+            Report::Accepted(Command::Draw { job }) if self.next == Some(job) => self.begin(cell, bounds),
+            Report::Refused(Command::Draw { job }) if self.next == Some(job) => {
+                self.next = None;
+                self.waiting.clear();
+            }
             Report::Refused(command @ (Command::Move { .. } | Command::Pen { .. })) => {
                 let refused = self
                     .singles
@@ -145,15 +154,32 @@ impl Drawing {
         }
     }
 
-    fn begin(&mut self, job: u16, tool: Option<Vector>) {
-        (self.job, self.next) = (Some(job), None);
-        self.end = tool;
+    /// The drawing that was ordered last begins: it was accepted, or its answer was lost.
+    pub(crate) fn begin(&mut self, cell: &Cell, bounds: &Bounds) {
+        let Some(job) = self.next.take() else { return };
+        self.job = Some(job);
+        self.end = self.ordered_at;
         self.legs.clear();
         self.grid.clear();
         self.long.clear();
         self.ink.clear();
         (self.vertices, self.limit, self.cursor) = (0, u32::MAX, 0);
         (self.is_too_much, self.was_disturbed, self.is_told) = (false, false, false);
+        for (index, position_mm, pen_down) in std::mem::take(&mut self.waiting) {
+            self.go_on(cell, bounds, index, position_mm, pen_down);
+        }
+    }
+
+    /// The path goes on to a vertex; one that repeats an earlier one is ignored.
+    fn go_on(&mut self, cell: &Cell, bounds: &Bounds, index: u32, position_mm: Vector, pen_down: bool) {
+        if index < self.vertices {
+            return;
+        }
+        self.vertices = index.saturating_add(1);
+        if index == 0 && !pen_down {
+            self.lift_first(cell, bounds);
+        }
+        self.append(position_mm, pen_down, bounds);
     }
 
     fn order_single(&mut self, command: Command, tool: Option<Vector>, to: Vector, bounds: &Bounds) {
@@ -276,7 +302,9 @@ impl Drawing {
             leg.touch_distance_squared(tool) <= tolerance * tolerance
         };
         let widest_mm = more_mm + bounds.travel_mm.max(bounds.drawn_mm);
+        // The answer to an order that the robot carries out already may be on its way.
         self.is_too_much
+            || self.next.is_some()
             || self.any_leg(tool, widest_mm, |_, leg| near(leg))
             || self.singles.iter().flatten().any(|(_, leg)| near(leg))
     }

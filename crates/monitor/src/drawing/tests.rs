@@ -17,6 +17,7 @@ fn drawing(points: &[([f64; 2], bool)]) -> (Cell, Bounds, Drawing) {
         };
         drawing.take(&cell, &bounds, None, &vertex);
     }
+    drawing.begin(&cell, &bounds);
     (cell, bounds, drawing)
 }
 
@@ -69,8 +70,16 @@ fn repeated_vertices_are_taken_once_and_a_refused_drawing_leaves_the_present_one
     drawing.take(&cell, &bounds, None, &again);
     assert!(!drawing.may_touch(&bounds, &[30.0, 0.0, -850.0], 0.0));
     drawing.take(&cell, &bounds, None, &Input::Commanded(Command::Draw { job: 2 }));
-    drawing.hear(None, &Report::Refused(Command::Draw { job: 2 }));
-    drawing.hear(None, &Report::Accepted(Command::Draw { job: 2 }));
+    let other = Input::PathVertex {
+        job: 2,
+        index: 0,
+        position_mm: [90.0, 0.0, -850.0],
+        pen_down: true,
+    };
+    drawing.take(&cell, &bounds, None, &other);
+    drawing.hear(&cell, &bounds, &Report::Refused(Command::Draw { job: 2 }));
+    drawing.hear(&cell, &bounds, &Report::Accepted(Command::Draw { job: 2 }));
+    assert!(!drawing.may_touch(&bounds, &[90.0, 0.0, -850.0], 0.0));
     assert!(drawing.may_touch(&bounds, &[5.0, 0.0, -850.0], 0.0));
 }
 
@@ -112,6 +121,7 @@ fn a_drawing_that_begins_on_the_paper_begins_with_a_lift() {
         pen_down: false,
     };
     drawing.take(&cell, &bounds, pressed, &first);
+    drawing.begin(&cell, &bounds);
     for on_way in [[10.0, 0.0, -851.0], [10.0, 0.0, -847.0], [40.0, 0.0, -847.0]] {
         assert!(drawing.locate(&cell, &bounds, &on_way, 0.0).is_on_path, "{on_way:?}");
     }

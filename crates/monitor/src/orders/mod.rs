@@ -76,8 +76,8 @@ pub(crate) struct Orders {
 const CUT_MS: u64 = 50;
 
 impl Orders {
-    /// Advances to a millisecond, before its inputs.
-    pub(crate) fn step(&mut self, cell: &Cell, bounds: &Bounds, motion: &Motion, disturbances: &Disturbances) {
+    /// Advances to a millisecond; returns whether a drawing counts as accepted whose answer was lost.
+    pub(crate) fn step(&mut self, cell: &Cell, bounds: &Bounds, motion: &Motion, disturbances: &Disturbances) -> bool {
         let now_ms = motion.now_ms;
         if self
             .stop_open_since_ms
@@ -108,7 +108,8 @@ impl Orders {
         if self.moving.take_lost(now_ms) {
             self.begin(Order::Single);
         }
-        if self.path.take_lost(now_ms) {
+        let is_path_lost = self.path.take_lost(now_ms);
+        if is_path_lost {
             self.begin(Order::Path);
         }
         for unanswered in [
@@ -120,6 +121,7 @@ impl Orders {
             // Without an answer these oblige to nothing.
             unanswered.take_lost(now_ms);
         }
+        is_path_lost
     }
 
     /// Takes an input.
@@ -379,7 +381,8 @@ impl Orders {
 
     /// Whether the robot is drawing: on the path, or on its way from it.
     pub(crate) fn is_drawing(&self, now_ms: u64) -> bool {
-        self.order == Order::Path && !self.moving.is_waiting() && !self.may_jog(now_ms)
+        let is_asked = self.moving.is_waiting() || self.path.is_waiting();
+        self.order == Order::Path && !is_asked && !self.may_jog(now_ms)
     }
 
     /// Largest override that may be in effect, percent.

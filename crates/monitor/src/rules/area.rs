@@ -1,22 +1,29 @@
 //! Area: joints stay in their ranges, and the tool in the work area.
 //!
 //! A joint may be 0.005 rad beyond its range: the planner keeps a margin of its own. While something is disturbed or
-//! stopping, the mechanical end stops bound it, 0.05 rad beyond the range.
+//! stopping, the mechanical end stops bound it, 0.05 rad beyond the range; a joint that was brought there may only come
+//! nearer.
 //!
 //! The tool may be the following error and 0.3 mm outside the work area, whose floor is also the paper less the
 //! pressing depth. A stop adds how far the tool slides; feedback that is not true adds the deviation that is promised
 //! for it. A robot that finds itself outside may only come nearer: what was outside at rest is allowed, and shrinks.
 
+use crate::cell::AXES_MAX;
 use crate::robot::MAIN_AXES;
 use crate::scene::{Finding, Scene};
 use crate::vector::Vector;
 use crate::violation::Rule;
+
+/// How far a joint may creep where it was brought to, rad.
+const CREEP_RAD: f64 = 1.0e-3;
 
 /// The rule.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Area {
     /// How far outside the tool may be, mm: as far as it has been in unsound motion or at the start.
     found_mm: Option<f64>,
+    /// How far beyond its range each joint may be, rad: as far as it has been in unsound motion.
+    found_rad: [f64; AXES_MAX],
 }
 
 impl Area {
@@ -25,7 +32,18 @@ impl Area {
         let is_sound = scene.is_sound();
         for axis in motion.each_axis() {
             let (angle, joint) = (motion.angles_rad[axis], &scene.bounds.joints[axis]);
-            let more = if is_sound { 0.0 } else { joint.disturbed_rad };
+            let found_rad = &mut self.found_rad[axis];
+            let beyond_rad = (joint.low_rad - angle).max(angle - joint.high_rad).max(0.0);
+            let more = match is_sound {
+                true if *found_rad > 0.0 => *found_rad + CREEP_RAD,
+                true => 0.0,
+                false => joint.disturbed_rad,
+            };
+            *found_rad = if is_sound {
+                found_rad.min(beyond_rad)
+            } else {
+                found_rad.max(beyond_rad).min(joint.disturbed_rad)
+            };
             if angle < joint.low_rad - more || angle > joint.high_rad + more {
                 let (low, high) = (joint.low_rad - more, joint.high_rad + more);
                 let text = format!("joint {axis} is at {angle:.4} rad, bounds {low:.4} to {high:.4} rad");
@@ -85,6 +103,12 @@ mod tests {
         rig.disturb_machine(true);
         rig.joints[3].angle_rad = 6_283.05;
         assert_eq!(rig.step(), Ok(()));
+        rig.disturb_machine(false);
+        assert_eq!(rig.run(1_000), Ok(()), "it was brought there");
+        rig.joints[3].angle_rad = 6_283.03;
+        assert_eq!(rig.step(), Ok(()));
+        rig.joints[3].angle_rad = 6_283.04;
+        assert!(broken(&rig.step(), Rule::Area), "it may only come nearer");
     }
 
     fn small() -> Cell {

@@ -11,7 +11,8 @@ use crate::cell::AXES_MAX;
 use crate::scene::{Finding, Scene};
 use crate::violation::Rule;
 
-/// Speed up to which a joint stands that loses its power, rad/s: motors creep into their last position.
+/// Speed up to which a joint stands that loses its power, rad/s, besides the end of its quick stop, which the motor
+/// reaches after the drive's delay.
 const STANDS_RAD_S: f64 = 0.1;
 
 /// The rule.
@@ -27,7 +28,9 @@ impl Power {
         let may_cut = scene.disturbances.may_race() || orders.has_restarted();
         for axis in motion.each_axis().filter(|_| !may_cut) {
             let speed = motion.speeds_before_rad_s[axis].abs();
-            if had_power[axis] && !motion.has_power[axis] && speed > STANDS_RAD_S {
+            let late_s = f64::from(scene.cell.drive_delay_ms) / 1_000.0;
+            let stands = STANDS_RAD_S + scene.cell.joints[axis].quick_stop_rad_s2 * late_s;
+            if had_power[axis] && !motion.has_power[axis] && speed > stands {
                 let text = format!("drive {axis} loses its power at {speed:.3} rad/s");
                 return Err((Rule::Power, text));
             }

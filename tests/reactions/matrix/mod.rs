@@ -1,0 +1,255 @@
+//! The fault matrix of `docs/faults.md`: each fault in each operating mode, at a low and at full speed.
+//!
+//! A cell is a robot that is brought into the mode, gets the fault, is watched until it stands, and is brought back when
+//! the fault has ended. When the reaction begins, when everything stands and how far the pen is astray is the cell's
+//! truth: its drives and motors. What the operator is told is the firmware's report.
+
+mod fault;
+mod situation;
+
+use crate::STILL_RAD_S;
+use crate::robot::Robot;
+use etherpen::application::{Mode, Refusal};
+use etherpen::messages::Command;
+use etherpen::robots::Position;
+use fault::{FAULTS, Trouble};
+use host_tools::cell::DriveState;
+use host_tools::link::text;
+use situation::{SITUATIONS, Situation};
+use std::path::PathBuf;
+
+/// How long a robot is watched after the beginning of a fault, ms: the slowest reaction at the low speed, and a stop.
+const WATCHED_MS: u32 = 4_000;
+/// Longest time for one step back, ms.
+const STEP_MAX_MS: u32 = 20_000;
+/// Most steps back.
+const STEPS_MAX: usize = 12;
+/// Distance of the move that shows that the robot is back, and how near to its target it has to come, mm.
+const PROOF_MM: f64 = 10.0;
+const PROOF_TOLERANCE_MM: f64 = 0.2;
+/// One of so many cells is measured in every test run.
+const SAMPLED: usize = 11;
+const DOCUMENT: &str = "docs/faults.md";
+const HEADING: &str = "## The fault matrix";
+/// Set to write the tables instead of comparing with them.
+const RENEW: &str = "ETHERPEN_RENEW_FAULTS";
+
+/// What a fault has led to.
+#[derive(Debug, Default)]
+struct Outcome {
+    told: Option<String>,
+    noticed_ms: Option<u32>,
+    stands_ms: Option<u32>,
+    astray_mm: f64,
+    steps: Vec<&'static str>,
+    is_lost: bool,
+}
+
+impl Outcome {
+    fn row(&self, trouble: &Trouble) -> String {
+        let ms = |ms: Option<u32>, none: &str| ms.map_or_else(|| none.to_owned(), |ms| format!("{ms} ms"));
+        let told = self.told.as_deref().unwrap_or("nothing");
+        let steps = match (self.is_lost, self.steps.is_empty()) {
+            (true, _) => "the position is wrong until homed".to_owned(),
+            (false, true) => "nothing to do".to_owned(),
+            (false, false) => self.steps.join(", "),
+        };
+        format!(
+            "| {} | {told} | {} | {} | {:.1} mm | {steps} |",
+            trouble.name,
+            ms(self.noticed_ms, "no reaction"),
+            ms(self.stands_ms, "goes on"),
+            self.astray_mm,
+        )
+    }
+}
+
+fn measure(situation: &Situation, trouble: &Trouble) -> Outcome {
+    let (mut robot, track) = situation.reach();
+    let had_fault = robot.fault();
+    let was_referenced = robot.status.as_ref().is_some_and(|status| status.referenced);
+    let in_operation = |robot: &Robot| {
+        let slaves = robot.cell().slaves;
+        slaves
+            .iter()
+            .filter(|slave| slave.drive == DriveState::OperationEnabled)
+            .count()
+    };
+    let powered = in_operation(&robot);
+    let mut outcome = Outcome::default();
+    let mut moved_ms = 0;
+    (trouble.begin)(&mut robot);
+    for ms in 1..=WATCHED_MS {
+        robot.run(1);
+        if ms == trouble.lasts_ms {
+            (trouble.end)(&mut robot);
+        }
+        if robot.speed_rad_s() > STILL_RAD_S {
+            moved_ms = ms;
+        }
+        let reacts = in_operation(&robot) < powered || robot.fault() != had_fault || robot.mode() == Mode::Holding;
+        if reacts && !matches!(situation.mode, Mode::Holding | Mode::Stopping) || robot.fault() != had_fault {
+            outcome.noticed_ms.get_or_insert(ms);
+        }
+        if let Some(platform) = robot.cell().platform {
+            outcome.astray_mm = outcome.astray_mm.max(track.distance_mm(platform));
+        }
+    }
+    let is_ordered_to_go_on = matches!(situation.mode, Mode::Moving | Mode::Drawing) && outcome.noticed_ms.is_none();
+    outcome.stands_ms = (moved_ms < WATCHED_MS && !is_ordered_to_go_on).then_some(moved_ms);
+    if let (Some(noticed_ms), Some(stands_ms)) = (&mut outcome.noticed_ms, outcome.stands_ms.filter(|ms| *ms > 0)) {
+        // What stands has reacted, although nobody could be told yet.
+        *noticed_ms = stands_ms.min(*noticed_ms);
+    }
+    outcome.told = robot.fault().filter(|fault| Some(*fault) != had_fault).map(|fault| {
+        let text = text::fault(&fault);
+        text.split([';', ':', '(']).next().unwrap_or_default().trim().to_owned()
+    });
+    outcome.steps = bring_back(&mut robot, situation, was_referenced);
+    outcome.is_lost = !comes_to_its_target(&mut robot);
+    if outcome.is_lost {
+        home(&mut robot);
+        assert!(comes_to_its_target(&mut robot), "{situation:?}, {}", trouble.name);
+    }
+    outcome
+}
+
+/// Brings the robot to rest with power; returns what the situation would not have needed without the fault.
+fn bring_back(robot: &mut Robot, situation: &Situation, was_referenced: bool) -> Vec<&'static str> {
+    let mut steps = Vec::new();
+    for _ in 0..STEPS_MAX {
+        let referenced = robot.status.as_ref().is_some_and(|status| status.referenced);
+        let step = match robot.mode() {
+            Mode::Idle if referenced => return steps,
+            Mode::Startup => {
+                robot.configure(&situation.config());
+                (situation.mode != Mode::Startup).then_some("configure")
+            }
+            Mode::Fault => {
+                insist(robot, Command::Acknowledge);
+                robot.run(20);
+                let is_over = |robot: &Robot| !robot.status.as_ref().is_some_and(|status| status.recovering);
+                robot.run_until("the repair ends", is_over);
+                (situation.mode != Mode::Fault || !steps.is_empty()).then_some("acknowledge")
+            }
+            Mode::Holding => {
+                insist(robot, Command::Resume);
+                robot.run(500);
+                (situation.mode != Mode::Holding).then_some("resume")
+            }
+            Mode::DrivesOff | Mode::Unreferenced | Mode::Idle if !referenced => {
+                home(robot);
+                was_referenced.then_some("home")
+            }
+            Mode::DrivesOff => {
+                insist(robot, Command::Enable);
+                robot.run(20);
+                let has_ended = |robot: &Robot| matches!(robot.mode(), Mode::Idle | Mode::Fault);
+                robot.run_until("the enabling ends", has_ended);
+                situation.has_power().then_some("enable")
+            }
+            _ => {
+                let is_busy = |mode| matches!(mode, Mode::Moving | Mode::Drawing | Mode::Stopping | Mode::BusConfiguring);
+                robot.run(20);
+                robot.run_until("the motion ends", |robot| !is_busy(robot.mode()));
+                None
+            }
+        };
+        steps.extend(step);
+    }
+    panic!("{situation:?}: {steps:?}, {:?}", robot.status);
+}
+
+/// Gives a command again as long as the robot is not ready for it.
+fn insist(robot: &mut Robot, command: Command) {
+    for _ in 0..STEP_MAX_MS / 100 {
+        match robot.command(command) {
+            Ok(()) | Err(Refusal::NotInMode(_)) => return,
+            Err(_) => robot.run(100),
+        }
+    }
+    panic!("{command:?} is refused for ever: {:?}", robot.status);
+}
+
+fn home(robot: &mut Robot) {
+    let pose = robot.cell().joints;
+    insist(robot, Command::HomeAt { pose, position: None });
+    robot.run(100);
+}
+
+/// Whether the platform comes to where it is sent.
+fn comes_to_its_target(robot: &mut Robot) -> bool {
+    let Some(from) = robot.cell().platform else { return false };
+    let position = Position {
+        x_mm: 0.5 * from.x_mm,
+        y_mm: 0.5 * from.y_mm,
+        z_mm: from.z_mm + PROOF_MM,
+    };
+    robot.command(Command::Move { position }).expect("a way upwards");
+    robot.run(20);
+    robot.wait_for(Mode::Idle);
+    robot.run(200);
+    let at = robot.cell().platform.expect("the robot holds a platform");
+    let off = [at.x_mm - position.x_mm, at.y_mm - position.y_mm, at.z_mm - position.z_mm];
+    off.iter().map(|mm| mm * mm).sum::<f64>().sqrt() < PROOF_TOLERANCE_MM
+}
+
+/// The table below a situation's heading.
+fn table(situation: &Situation) -> String {
+    let rows: Vec<String> = FAULTS
+        .iter()
+        .map(|trouble| measure(situation, trouble).row(trouble))
+        .collect();
+    format!(
+        "### {}\n\n| fault | told | noticed after | stands after | pen astray | back by |\n|---|---|---|---|---|---|\n{}\n",
+        situation.name,
+        rows.join("\n")
+    )
+}
+
+fn document() -> (PathBuf, String) {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join(DOCUMENT);
+    let text = std::fs::read_to_string(&path).expect("the document");
+    (path, text)
+}
+
+/// The part of the document with the tables.
+fn tables(text: &str) -> std::ops::Range<usize> {
+    let heading = text.find(HEADING).expect("the heading");
+    let from = heading + text[heading..].find("\n### ").expect("the first table") + 1;
+    let length = text[from..].find("\n## ").map_or(text.len() - from, |length| length + 1);
+    from..from + length
+}
+
+#[test]
+fn cells_of_the_fault_matrix_here_and_there_are_as_written() {
+    let (_, text) = document();
+    let cells = SITUATIONS.iter().flat_map(|situation| FAULTS.iter().map(move |trouble| (situation, trouble)));
+    for (situation, trouble) in cells.step_by(SAMPLED) {
+        let row = measure(situation, trouble).row(trouble);
+        let heading = format!("### {}\n", situation.name);
+        let from = text.find(&heading).unwrap_or_else(|| panic!("{heading}"));
+        let part = &text[from + heading.len()..];
+        let part = &part[..part.find("\n##").unwrap_or(part.len())];
+        assert!(
+            part.contains(&row),
+            "{DOCUMENT}, {}, has no row\n{row}\n{RENEW}=1 cargo test --test reactions -- --ignored matrix renews it",
+            situation.name
+        );
+    }
+}
+
+#[test]
+#[ignore = "takes minutes; part of cargo verify --nightly"]
+fn the_whole_fault_matrix_is_as_written() {
+    let measured: Vec<String> = SITUATIONS.iter().map(table).collect();
+    let measured = format!("{}\n", measured.join("\n"));
+    let (path, text) = document();
+    let range = tables(&text);
+    if std::env::var_os(RENEW).is_some() {
+        let renewed = [&text[..range.start], &measured, &text[range.end..]].concat();
+        std::fs::write(&path, renewed).expect("the document can be written");
+    } else {
+        assert_eq!(text[range].trim_end(), measured.trim_end(), "{RENEW}=1 renews it");
+    }
+}

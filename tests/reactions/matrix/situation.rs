@@ -1,0 +1,220 @@
+//! The tables of the matrix: operating modes and speeds, and how a robot is brought there.
+
+use crate::robot::Robot;
+use etherpen::application::Mode;
+use etherpen::config::Config;
+use etherpen::messages::{Command, PathVertex};
+use etherpen::motion::Pen;
+use etherpen::robots::Position;
+use host_tools::cell::CellOptions;
+
+/// The line of all motions: from here to its opposite, mm.
+const FROM_MM: [f64; 2] = [-60.0, -75.0];
+/// Heights of the pen on and above the paper, mm.
+const DOWN_MM: f64 = -850.0;
+const UP_MM: f64 = -847.0;
+/// Part of the line after which the fault begins, at the low and at full speed: there the speed is reached.
+const BEGUN_PART: f64 = 0.02;
+const HALF_WAY_PART: f64 = 0.45;
+/// Speeds along the line, mm/s.
+pub(super) const LOW_MM_S: f64 = 20.0;
+pub(super) const FULL_MM_S: f64 = 1_000.0;
+/// Time from an order to hold or to stop to the fault, ms: the motors are braking.
+const BRAKING_MS: u32 = 12;
+const HOLDING_MS: u32 = 60;
+
+/// An operating mode, and the speed of the pen in it.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Situation {
+    pub(super) name: &'static str,
+    pub(super) mode: Mode,
+    speed_mm_s: f64,
+}
+
+const fn at(name: &'static str, mode: Mode, speed_mm_s: f64) -> Situation {
+    Situation { name, mode, speed_mm_s }
+}
+
+/// The tables.
+pub(super) static SITUATIONS: [Situation; 14] = [
+    at("Startup", Mode::Startup, 0.0),
+    at("Bus configuring", Mode::BusConfiguring, 0.0),
+    at("Drives off", Mode::DrivesOff, 0.0),
+    at("Unreferenced, with power", Mode::Unreferenced, 0.0),
+    at("Idle", Mode::Idle, 0.0),
+    at("Moving at 20 mm/s", Mode::Moving, LOW_MM_S),
+    at("Moving at 1,000 mm/s", Mode::Moving, FULL_MM_S),
+    at("Drawing at 20 mm/s", Mode::Drawing, LOW_MM_S),
+    at("Drawing at 1,000 mm/s", Mode::Drawing, FULL_MM_S),
+    at("Holding, from 20 mm/s", Mode::Holding, LOW_MM_S),
+    at("Holding, from 1,000 mm/s", Mode::Holding, FULL_MM_S),
+    at("Stopping, from 20 mm/s", Mode::Stopping, LOW_MM_S),
+    at("Stopping, from 1,000 mm/s", Mode::Stopping, FULL_MM_S),
+    at("Fault", Mode::Fault, 0.0),
+];
+
+/// The line that the pen was ordered to follow; a point where nothing moves.
+pub(super) struct Track {
+    from: Position,
+    to: Position,
+    /// Whether the pen may be lifted above it.
+    draws: bool,
+}
+
+impl Track {
+    /// Distance of a position from the line, mm.
+    pub(super) fn distance_mm(&self, at: Position) -> f64 {
+        let way = [self.to.x_mm - self.from.x_mm, self.to.y_mm - self.from.y_mm];
+        let off = [at.x_mm - self.from.x_mm, at.y_mm - self.from.y_mm];
+        let length_squared: f64 = way.iter().map(|mm| mm * mm).sum();
+        let along: f64 = off.iter().zip(way).map(|(a, b)| a * b).sum();
+        let part = (along / length_squared.max(f64::MIN_POSITIVE)).clamp(0.0, 1.0);
+        let beside: f64 = off.iter().zip(way).map(|(a, b)| (a - part * b).powi(2)).sum();
+        let mut above = at.z_mm - self.from.z_mm;
+        if self.draws {
+            above -= above.clamp(0.0, UP_MM - DOWN_MM);
+        }
+        (beside + above * above).sqrt()
+    }
+
+    /// How much of the line is done.
+    fn part(&self, at: Position) -> f64 {
+        let length = |mm: [f64; 2]| mm[0].hypot(mm[1]);
+        let whole = length([self.to.x_mm - self.from.x_mm, self.to.y_mm - self.from.y_mm]);
+        length([at.x_mm - self.from.x_mm, at.y_mm - self.from.y_mm]) / whole
+    }
+}
+
+fn position(z_mm: f64, side: f64) -> Position {
+    Position {
+        x_mm: side * FROM_MM[0],
+        y_mm: side * FROM_MM[1],
+        z_mm,
+    }
+}
+
+/// A stroke along the line.
+fn stroke() -> Vec<PathVertex> {
+    let vertex = |side: f64, z_mm: f64, pen: Pen| {
+        let at = position(z_mm, side);
+        PathVertex {
+            position_um: [at.x_mm, at.y_mm, at.z_mm].map(|mm| (mm * 1e3).round() as i32),
+            pen,
+            stroke: 0,
+        }
+    };
+    vec![
+        vertex(1.0, UP_MM, Pen::Up),
+        vertex(1.0, DOWN_MM, Pen::Up),
+        vertex(-1.0, DOWN_MM, Pen::Down),
+        vertex(-1.0, UP_MM, Pen::Up),
+    ]
+}
+
+impl Situation {
+    /// The configuration, in which the line is driven at the situation's speed.
+    pub(super) fn config(&self) -> Config {
+        let mut config = Config::default();
+        if self.travels() {
+            config.motion.speed_mm_s = self.speed_mm_s;
+            config.motion.travel_speed_mm_s = self.speed_mm_s;
+        }
+        config
+    }
+
+    /// Whether the pen is on a line.
+    pub(super) fn travels(&self) -> bool {
+        self.speed_mm_s > 0.0
+    }
+
+    /// Whether the drives had power.
+    pub(super) fn has_power(&self) -> bool {
+        self.travels() || matches!(self.mode, Mode::Unreferenced | Mode::Idle)
+    }
+
+    /// Brings a robot there.
+    pub(super) fn reach(&self) -> (Robot, Track) {
+        let config = self.config();
+        let mut robot = Robot::of(&config, CellOptions::default());
+        match self.mode {
+            Mode::Startup => robot.run(300),
+            Mode::BusConfiguring => {
+                robot.run(100);
+                robot.configure(&config);
+                robot.run(60);
+                assert_eq!(robot.mode(), Mode::BusConfiguring, "too late");
+            }
+            Mode::DrivesOff => {
+                robot = robot.enabled();
+                robot.command(Command::Disable).expect("a robot at rest");
+                robot.wait_for(Mode::DrivesOff);
+            }
+            Mode::Unreferenced => {
+                robot.configure(&config);
+                robot.wait_for(Mode::DrivesOff);
+                robot.command(Command::Enable).expect("drives");
+                robot.wait_for(Mode::Unreferenced);
+            }
+            Mode::Idle => robot = robot.enabled(),
+            Mode::Fault => {
+                robot = robot.enabled();
+                robot.command(Command::Stop).expect("a stop");
+                robot.wait_for(Mode::Fault);
+            }
+            _ => return self.travel(robot.enabled()),
+        }
+        robot.run(100);
+        let here = robot.cell().platform.expect("the robot holds a platform");
+        let track = Track {
+            from: here,
+            to: here,
+            draws: false,
+        };
+        (robot, track)
+    }
+
+    /// Brings a robot onto the line, at speed.
+    fn travel(&self, mut robot: Robot) -> (Robot, Track) {
+        let draws = self.mode != Mode::Moving;
+        robot
+            .command(Command::Move {
+                position: position(UP_MM, 1.0),
+            })
+            .expect("the beginning of the line");
+        robot.run(20);
+        robot.wait_for(Mode::Idle);
+        robot.run(100);
+        let z_mm = if draws { DOWN_MM } else { UP_MM };
+        let track = Track {
+            from: position(z_mm, 1.0),
+            to: position(z_mm, -1.0),
+            draws,
+        };
+        if draws {
+            robot.draw(stroke());
+        } else {
+            let position = track.to;
+            robot.command(Command::Move { position }).expect("the end of the line");
+        }
+        let part = if self.speed_mm_s > LOW_MM_S {
+            HALF_WAY_PART
+        } else {
+            BEGUN_PART
+        };
+        robot.run_until("the line is begun", |robot| {
+            robot.cell().platform.is_some_and(|at| track.part(at) > part)
+        });
+        match self.mode {
+            Mode::Holding => {
+                robot.say(Command::Hold);
+                robot.run(HOLDING_MS);
+            }
+            Mode::Stopping => {
+                robot.say(Command::Stop);
+                robot.run(BRAKING_MS);
+            }
+            _ => {}
+        }
+        (robot, track)
+    }
+}
