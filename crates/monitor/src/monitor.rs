@@ -102,6 +102,11 @@ impl Monitor {
         })
     }
 
+    /// A counter of this name has to show a number at the end; the same as [`Input::Expected`].
+    pub fn expect(&mut self, name: &'static str, count: u64) {
+        self.rules.take(&Input::Expected { name, count });
+    }
+
     /// Checks what can be told only at the end.
     ///
     /// # Errors

@@ -83,6 +83,8 @@ fn soften(episode: &mut Episode, rad_s2: f64) {
 
 /// Events at random times, now and then several in one burst.
 fn events(chance: &mut Chance, profile: Profile, duration_ms: u32) -> Vec<Event> {
+    // Faults of one kind of frames can be counted exactly.
+    let only = (profile == Profile::Bus && chance.one_in(6)).then(|| trouble::of_frames(chance));
     let mut events = Vec::new();
     let mut at_ms = 0;
     for _ in 0..chance.below(EVENTS_MAX) {
@@ -91,7 +93,10 @@ fn events(chance: &mut Chance, profile: Profile, duration_ms: u32) -> Vec<Event>
             true => at_ms + chance.one_of(&[0, 0, 1, 4]),
             false => chance.below(duration_ms.into()) as u32,
         };
-        let what = what(chance, profile);
+        let what = match &only {
+            Some(words) => What::Frames(words.clone(), chance.scaled(1.0, 80.0) as u32),
+            None => what(chance, profile),
+        };
         if let What::Fault(words) = &what
             && let Some(end) = trouble::end_of(chance, words)
         {

@@ -13,6 +13,7 @@
 //! Invariant: equal episodes give equal results, on every computer.
 
 mod chance;
+mod counted;
 pub mod episode;
 mod figures;
 pub mod generate;

@@ -5,6 +5,7 @@
 //! robot has to come back and draw [`test_figure`].
 
 use super::chance::Chance;
+use super::counted;
 use super::episode::{Episode, Event, Figure, What, Wish};
 use super::ink;
 use super::judge::{Judge, ink_limit_mm};
@@ -194,8 +195,13 @@ impl<'e> Operator<'e> {
     fn happen(&mut self, event: &Event) {
         let until = |duration_ms: u32| event.at_ms.saturating_add(duration_ms);
         match &event.what {
-            What::Fault(words) => self.inject(words, 1),
-            What::Frames(words, count) => self.inject(words, *count),
+            What::Fault(words) => self.inject(words),
+            What::Frames(words, count) => {
+                if let Ok(fault) = words.parse::<Fault>() {
+                    self.world.inject_into_frames(fault, *count);
+                    self.judge.injected(fault, *count, self.now_ms);
+                }
+            }
             What::Command(command) => drop(self.session.command(*command)),
             What::Beside(command) => self.put_beside(*command),
             What::State(slave, state) => {
@@ -231,13 +237,13 @@ impl<'e> Operator<'e> {
     }
 
     /// Injects a fault of the segment's script; [`Episode::parse`] has read its words before.
-    fn inject(&mut self, words: &str, count: u32) {
+    fn inject(&mut self, words: &str) {
         let Ok(fault) = words.parse::<Fault>() else { return };
         if let Fault::Swap(slave, _) = fault {
             self.swapped.push(slave);
         }
-        (0..count).for_each(|_| self.world.inject(fault));
-        self.judge.injected(fault, count, self.now_ms);
+        self.world.inject(fault);
+        self.judge.injected(fault, 1, self.now_ms);
     }
 
     /// Sends a command beside the session, which sends one after the other.
@@ -275,15 +281,16 @@ impl<'e> Operator<'e> {
         self.board = Board::default();
         self.up.heal();
         self.down.heal();
-        self.inject("join", 1);
+        self.world.spare_frames();
+        self.inject("join");
         let drives = self.config.axes.len();
         for slave in 1..=drives {
-            self.inject(&format!("insert {slave}"), 1);
-            self.inject(&format!("sii {slave} whole"), 1);
-            self.inject(&format!("stuck {slave} 0"), 1);
+            self.inject(&format!("insert {slave}"));
+            self.inject(&format!("sii {slave} whole"));
+            self.inject(&format!("stuck {slave} 0"));
         }
         for slave in std::mem::take(&mut self.swapped) {
-            self.inject(&format!("swap {slave} ax2000"), 1);
+            self.inject(&format!("swap {slave} ax2000"));
         }
         self.judge.healed();
         (self.jog, self.job) = (None, self.job.wrapping_add(1));
@@ -325,15 +332,28 @@ impl<'e> Operator<'e> {
                 match (has_power, now_ms > since_ms + OFF_MAX_MS) {
                     (false, _) => {
                         self.stage = Stage::Over;
-                        if let Err((rule, text)) = self.judge.end() {
-                            self.fail(rule, text);
-                        }
+                        self.end();
                     }
                     (true, true) => self.fail(Rule::Power, format!("the power stays on: {:?}", self.status)),
                     (true, false) => {}
                 }
             }
             _ => {}
+        }
+    }
+
+    /// Judges what can only be judged at the end.
+    fn end(&mut self) {
+        let counts = {
+            let (episode, config) = (self.episode, &self.config);
+            self.world
+                .look(|cell, _| counted::expected(episode, config, cell.injected()))
+        };
+        for (name, count) in counts.into_iter().flatten() {
+            self.judge.expect(name, count);
+        }
+        if let Err((rule, text)) = self.judge.end() {
+            self.fail(rule, text);
         }
     }
 
@@ -417,7 +437,7 @@ impl<'e> Operator<'e> {
         };
         let product = PRODUCTS.iter().find(|(code, _)| *code == expected);
         if let Some((_, name)) = product.filter(|_| self.stage != Stage::Free) {
-            self.inject(&format!("swap {} {name}", slave + 1), 1);
+            self.inject(&format!("swap {} {name}", slave + 1));
             self.judge.healed();
         }
     }

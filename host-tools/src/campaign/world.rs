@@ -8,6 +8,9 @@ use std::rc::Rc;
 /// Frames kept for a millisecond; more than the controller sends and receives in one.
 const FRAMES_MAX: usize = 16;
 
+/// Most kinds of faults that hit one frame.
+const KINDS_MAX: usize = 16;
+
 /// A frame on the wire.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Frame {
@@ -46,35 +49,55 @@ impl Wire {
     }
 }
 
+/// The cell, its wire, and the faults that hit the next frames, with their numbers of frames.
+struct Inside {
+    cell: Cell,
+    wire: Wire,
+    waiting: Vec<(Fault, u32)>,
+}
+
 /// The cell and its wire, shared by the firmware's port and the operator.
 #[derive(Clone)]
-pub(super) struct World(Rc<RefCell<(Cell, Wire)>>);
+pub(super) struct World(Rc<RefCell<Inside>>);
 
 impl World {
     pub(super) fn new(cell: Cell) -> Self {
-        Self(Rc::new(RefCell::new((cell, Wire::default()))))
+        Self(Rc::new(RefCell::new(Inside {
+            cell,
+            wire: Wire::default(),
+            waiting: Vec::new(),
+        })))
     }
 
     /// Injects a fault now.
     pub(super) fn inject(&self, fault: Fault) {
-        self.0.borrow_mut().0.inject(fault);
+        self.0.borrow_mut().cell.inject(fault);
+    }
+
+    /// Lets a fault of frames hit each of the next `count` frames, after those that an earlier one of its kind hits.
+    pub(super) fn inject_into_frames(&self, fault: Fault, count: u32) {
+        self.0.borrow_mut().waiting.push((fault, count));
+    }
+
+    /// No further frame is hit.
+    pub(super) fn spare_frames(&self) {
+        self.0.borrow_mut().waiting.clear();
     }
 
     /// The motors and the pen.
     pub(super) fn truth(&self) -> Truth {
-        self.0.borrow().0.truth()
+        self.0.borrow().cell.truth()
     }
 
     /// Puts an empty sheet in the place of the one with the ink.
     #[cfg(test)]
     pub(super) fn new_sheet(&self) {
-        self.0.borrow_mut().0.new_sheet();
+        self.0.borrow_mut().cell.new_sheet();
     }
 
     /// Calls `look` with the cell and the frames of this millisecond, and forgets the frames.
     pub(super) fn look<R>(&self, look: impl FnOnce(&Cell, &[Frame]) -> R) -> R {
-        let mut world = self.0.borrow_mut();
-        let (cell, wire) = &mut *world;
+        let Inside { cell, wire, .. } = &mut *self.0.borrow_mut();
         let result = look(cell, wire.frames());
         wire.clear();
         result
@@ -87,7 +110,16 @@ impl Segment for World {
     }
 
     fn frame_at_ns(&mut self, time_ns: u64, frame: &[u8]) -> Vec<Vec<u8>> {
-        let (cell, wire) = &mut *self.0.borrow_mut();
+        let Inside { cell, wire, waiting } = &mut *self.0.borrow_mut();
+        let mut kinds: heapless::Vec<&str, KINDS_MAX> = heapless::Vec::new();
+        waiting.retain_mut(|(fault, count)| {
+            let is_first = !kinds.contains(&fault.name()) && kinds.push(fault.name()).is_ok();
+            if is_first {
+                cell.inject(*fault);
+                *count = count.saturating_sub(1);
+            }
+            *count > 0
+        });
         wire.keep(true, time_ns, frame);
         let replies = cell.frame_at_ns(time_ns, frame);
         for reply in &replies {
@@ -97,6 +129,6 @@ impl Segment for World {
     }
 
     fn advance_to(&mut self, time_us: u64) {
-        self.0.borrow_mut().0.advance_to(time_us);
+        self.0.borrow_mut().cell.advance_to(time_us);
     }
 }

@@ -30,6 +30,12 @@ pub(super) struct Arguments {
     /// one, but is too slow for the planner.
     #[arg(long, value_name = "N", default_value_t = 3, value_parser = clap::value_parser!(u8).range(1..=7))]
     shift: u8,
+    /// Seed of the planner's path and of the moments at which the loads meet the cycle.
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    seed: u64,
+    /// Keep this seed's runs in a folder, and report all runs in it as one. What is there already is not measured again.
+    #[arg(long, value_name = "DIR")]
+    merge: Option<PathBuf>,
     /// Print the figures and the curves as JSON on stdout.
     #[arg(long)]
     json: bool,
@@ -58,8 +64,12 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         isolation: arguments.isolation,
         rate_khz: arguments.rate,
         instruction_shift: arguments.shift,
+        seed: arguments.seed,
     };
-    let report = measure(&plan)?;
+    let report = match &arguments.merge {
+        Some(folder) => latency::run_merged(&plan, folder, |what| eprintln!("etherpen: {what}"))?,
+        None => measure(&plan)?,
+    };
     if let Some(path) = &arguments.plot {
         write_text(path, &plot::svg(&report))?;
         eprintln!("etherpen: curves in {}", path.display());

@@ -62,6 +62,10 @@ fn steps() -> Vec<Step> {
         );
         Step::new(&format!("campaign-{profile}"), &arguments)
     }));
+    steps.push(Step::new(
+        "soak",
+        "test --release -p host-tools --lib a_day_of_portraits -- --ignored --nocapture",
+    ));
     steps.extend(targets().iter().map(|target| {
         let arguments = format!(
             "+nightly fuzz run {target} target/found/{target} fuzz/corpus/{target} -- -max_total_time={FUZZ_S} -timeout=10 \

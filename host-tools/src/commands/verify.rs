@@ -125,6 +125,7 @@ const IN_TIME: [&str; 3] = ["cycles_late", "frames_lost", "release_jitter"];
 /// fewer cycles.
 fn in_time() -> Result<(), ProgramError> {
     let report = latency::measure(&LatencyPlan {
+        seed: 0,
         cycles: LATENCY_CYCLES,
         disturbance: Disturbance {
             network: true,

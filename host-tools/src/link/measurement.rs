@@ -3,9 +3,11 @@
 //! Invariant: a quantile is never too low: it is the end of its bin, or the largest value if that is less.
 
 use etherpen::measurement::{MeasurementAnswer, MeasurementRequest, Quantity, lower_bound};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
 
 /// A histogram read from the firmware; values are counts of the board's counter.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Distribution {
     /// Counts in a second.
     pub counts_per_s: u32,
@@ -20,6 +22,25 @@ pub struct Distribution {
 }
 
 impl Distribution {
+    /// The values of two distributions that were taken with the same counter.
+    fn merged(one: &Self, other: &Self) -> Self {
+        if one.bins.is_empty() || other.bins.is_empty() {
+            return if one.bins.is_empty() { other } else { one }.clone();
+        }
+        let mut bins: BTreeMap<u8, u32> = one.bins.iter().copied().collect();
+        for (bin, count) in &other.bins {
+            let sum = bins.entry(*bin).or_default();
+            *sum = sum.saturating_add(*count);
+        }
+        Self {
+            counts_per_s: one.counts_per_s,
+            bins: bins.into_iter().collect(),
+            largest: one.largest.max(other.largest),
+            smallest: one.smallest.min(other.smallest),
+            sum: one.sum.saturating_add(other.sum),
+        }
+    }
+
     /// Number of values.
     pub fn count(&self) -> u64 {
         self.bins.iter().map(|(_, count)| u64::from(*count)).sum()
@@ -71,12 +92,24 @@ impl Distribution {
 }
 
 /// Histograms of all quantities of a board.
-#[derive(Clone, Debug, Default, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Readings {
     distributions: Vec<Distribution>,
 }
 
 impl Readings {
+    /// The values of two readings that were taken with the same counter.
+    pub fn merged(one: &Self, other: &Self) -> Self {
+        let empty = Distribution::default();
+        let count = one.distributions.len().max(other.distributions.len());
+        let of = |readings: &Self, index: usize| readings.distributions.get(index).unwrap_or(&empty).clone();
+        Self {
+            distributions: (0..count)
+                .map(|index| Distribution::merged(&of(one, index), &of(other, index)))
+                .collect(),
+        }
+    }
+
     /// The histogram of a quantity; `None` if the quantity never occurred.
     pub fn of(&self, quantity: Quantity) -> Option<&Distribution> {
         self.distributions
@@ -155,6 +188,23 @@ mod tests {
             reader.take(&measurements.answer(request));
         }
         reader.into_readings().expect("everything was read")
+    }
+
+    #[test]
+    fn merged_readings_are_those_of_all_values_together() {
+        let of = |values: &[u32]| {
+            let measurements = Measurements::new();
+            measurements.set_counts_per_s(25_000_000);
+            values
+                .iter()
+                .for_each(|value| measurements.record(Quantity::TotalDelay, *value));
+            read(&measurements)
+        };
+        let (one, other) = ([3, 700, 70_000], [1, 700, 12, 900_000]);
+        let whole = of(&[one.as_slice(), other.as_slice()].concat());
+        assert_eq!(Readings::merged(&of(&one), &of(&other)), whole);
+        assert_eq!(Readings::merged(&of(&[]), &whole), whole);
+        assert_eq!(Readings::merged(&whole, &Readings::default()), whole);
     }
 
     #[test]

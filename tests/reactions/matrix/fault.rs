@@ -147,10 +147,7 @@ pub(super) static FAULTS: [Trouble; 25] = [
     for_a_second(
         "the operator's line loses bytes",
         |robot| {
-            robot.overrun = Some(Overrun {
-                bytes: 3,
-                period_ms: 7,
-            });
+            robot.overrun = Some(Overrun { bytes: 3, period_ms: 7 });
         },
         |robot| robot.overrun = None,
     ),

@@ -149,7 +149,12 @@ fn bring_back(robot: &mut Robot, situation: &Situation, was_referenced: bool) ->
                 situation.has_power().then_some("enable")
             }
             _ => {
-                let is_busy = |mode| matches!(mode, Mode::Moving | Mode::Drawing | Mode::Stopping | Mode::BusConfiguring);
+                let is_busy = |mode| {
+                    matches!(
+                        mode,
+                        Mode::Moving | Mode::Drawing | Mode::Stopping | Mode::BusConfiguring
+                    )
+                };
                 robot.run(20);
                 robot.run_until("the motion ends", |robot| !is_busy(robot.mode()));
                 None
@@ -179,7 +184,9 @@ fn home(robot: &mut Robot) {
 
 /// Whether the platform comes to where it is sent.
 fn comes_to_its_target(robot: &mut Robot) -> bool {
-    let Some(from) = robot.cell().platform else { return false };
+    let Some(from) = robot.cell().platform else {
+        return false;
+    };
     let position = Position {
         x_mm: 0.5 * from.x_mm,
         y_mm: 0.5 * from.y_mm,
@@ -190,7 +197,11 @@ fn comes_to_its_target(robot: &mut Robot) -> bool {
     robot.wait_for(Mode::Idle);
     robot.run(200);
     let at = robot.cell().platform.expect("the robot holds a platform");
-    let off = [at.x_mm - position.x_mm, at.y_mm - position.y_mm, at.z_mm - position.z_mm];
+    let off = [
+        at.x_mm - position.x_mm,
+        at.y_mm - position.y_mm,
+        at.z_mm - position.z_mm,
+    ];
     off.iter().map(|mm| mm * mm).sum::<f64>().sqrt() < PROOF_TOLERANCE_MM
 }
 
@@ -217,14 +228,18 @@ fn document() -> (PathBuf, String) {
 fn tables(text: &str) -> std::ops::Range<usize> {
     let heading = text.find(HEADING).expect("the heading");
     let from = heading + text[heading..].find("\n### ").expect("the first table") + 1;
-    let length = text[from..].find("\n## ").map_or(text.len() - from, |length| length + 1);
+    let length = text[from..]
+        .find("\n## ")
+        .map_or(text.len() - from, |length| length + 1);
     from..from + length
 }
 
 #[test]
 fn cells_of_the_fault_matrix_here_and_there_are_as_written() {
     let (_, text) = document();
-    let cells = SITUATIONS.iter().flat_map(|situation| FAULTS.iter().map(move |trouble| (situation, trouble)));
+    let cells = SITUATIONS
+        .iter()
+        .flat_map(|situation| FAULTS.iter().map(move |trouble| (situation, trouble)));
     for (situation, trouble) in cells.step_by(SAMPLED) {
         let row = measure(situation, trouble).row(trouble);
         let heading = format!("### {}\n", situation.name);

@@ -11,6 +11,7 @@ mod cable;
 mod peer;
 pub mod plot;
 mod rows;
+mod saved;
 
 pub use rows::{Curve, LatencyReport};
 
@@ -24,12 +25,14 @@ use etherpen::config::Config;
 use etherpen::measurement::disturbance;
 use etherpen::messages::Counters;
 use peer::{Outcome, Peer};
+use saved::Saved;
+use serde::{Deserialize, Serialize};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 /// Artificial loads of the firmware.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Disturbance {
     /// The serial link full in both directions.
     pub serial: bool,
@@ -84,7 +87,7 @@ impl std::str::FromStr for Disturbance {
 }
 
 /// Isolation of the critical tasks from the other tasks.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize, clap::ValueEnum)]
 pub enum Isolation {
     /// Critical sections mask everything but the critical tasks.
     Basepri,
@@ -93,7 +96,7 @@ pub enum Isolation {
 }
 
 /// Plan of the measurement.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct LatencyPlan {
     /// Cycles of each run.
     pub cycles: u64,
@@ -107,10 +110,12 @@ pub struct LatencyPlan {
     pub rate_khz: u32,
     /// One instruction takes 2^shift ns of virtual time.
     pub instruction_shift: u8,
+    /// Seed of the planner's path and of the moments at which the loads meet the cycle.
+    pub seed: u64,
 }
 
 /// One run of the firmware.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Case {
     pub(crate) disturbance: Disturbance,
     pub(crate) isolation: Isolation,
@@ -118,7 +123,7 @@ pub(crate) struct Case {
 }
 
 /// Result of a run.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct LatencyRun {
     pub(crate) case: Case,
     pub(crate) readings: Readings,
@@ -126,8 +131,9 @@ pub(crate) struct LatencyRun {
     pub(crate) counters: Counters,
 }
 
-/// Settling time of the firmware under its load before the measurement, ms.
+/// Settling time of the firmware under its load before the measurement, ms; the seed adds less than a second.
 const SETTLE_MS: u32 = 1_000;
+const SETTLE_BY_SEED_MS: u64 = 997;
 /// Wall time without any progress after which a run is given up.
 const ANSWER_WITHIN: Duration = Duration::from_secs(60);
 /// Wall time between two checks of a run.
@@ -138,6 +144,29 @@ const LOOK: Duration = Duration::from_millis(50);
 /// # Errors
 /// A tool is missing, the emulator ended, or the firmware had a fault.
 pub fn run(plan: &LatencyPlan, mut progress: impl FnMut(&str)) -> Result<LatencyReport, BenchError> {
+    Ok(rows::report(plan, &measure_all(plan, &mut progress)?))
+}
+
+/// As [`run`], but keeps the runs of the plan's seed in a folder, and reports all runs that the folder has as one. Runs
+/// that it has are not repeated.
+///
+/// # Errors
+/// As [`run`]; and a file of the folder cannot be read or written, or was made with other options.
+pub fn run_merged(
+    plan: &LatencyPlan,
+    folder: &Path,
+    mut progress: impl FnMut(&str),
+) -> Result<LatencyReport, BenchError> {
+    if Saved::of(folder, plan)?.is_none() {
+        Saved::new(plan, measure_all(plan, &mut progress)?).write(folder)?;
+    }
+    let all = Saved::all(folder, plan)?;
+    let seeds: Vec<String> = all.iter().map(|saved| saved.plan.seed.to_string()).collect();
+    progress(&format!("seeds {} together", seeds.join(", ")));
+    Ok(rows::report(plan, &saved::merged(&all)))
+}
+
+fn measure_all(plan: &LatencyPlan, mut progress: &mut impl FnMut(&str)) -> Result<Vec<LatencyRun>, BenchError> {
     setup::ensure_qemu()?;
     let mut runs = Vec::new();
     let mut case = Case {
@@ -170,7 +199,7 @@ pub fn run(plan: &LatencyPlan, mut progress: impl FnMut(&str)) -> Result<Latency
             break;
         }
     }
-    Ok(rows::report(plan, &runs))
+    Ok(runs)
 }
 
 /// Builds the image of a case: the emulated board, or a variant of it in a separate folder.
@@ -204,11 +233,14 @@ fn measure_image(
     let config = Config::default();
     let options = CellOptions {
         faults: cable::faults(case.disturbance.network),
+        seed: CellOptions::default().seed ^ plan.seed,
         ..CellOptions::default()
     };
     let cable = Cable::new(Cell::new(&config, options));
     let milliseconds = u32::try_from(plan.cycles.div_ceil(case.rate_khz.into())).unwrap_or(u32::MAX);
-    let peer = Arc::new(Mutex::new(Peer::new(config, case.disturbance, SETTLE_MS, milliseconds)));
+    let settle_ms = SETTLE_MS + (plan.seed % SETTLE_BY_SEED_MS) as u32;
+    let peer = Peer::new(config, case.disturbance, plan.seed, settle_ms, milliseconds);
+    let peer = Arc::new(Mutex::new(peer));
     let emulator_options = EmulatorOptions {
         instruction_shift: plan.instruction_shift,
         // The log is only a load here; it is not decoded.
@@ -278,6 +310,7 @@ mod tests {
             isolation: Isolation::Basepri,
             rate_khz: 1,
             instruction_shift: 3,
+            seed: 0,
         };
         let image = setup::build_firmware("emulated").expect("the firmware builds");
         let case = |disturbance| Case {

@@ -30,7 +30,7 @@ const HALF_SIDE_UM: i32 = 30_000;
 /// Heights of the pen over the paper and on it, micrometres.
 const UP_UM: i32 = -847_000;
 const DOWN_UM: i32 = -850_000;
-/// Seed of the path.
+/// What the path's seed is mixed with.
 const SEED: u64 = 0x9E37_79B9_7F4A_7C15;
 
 /// Result of a run.
@@ -83,7 +83,7 @@ pub(super) struct Peer {
 }
 
 impl Peer {
-    pub(super) fn new(config: Config, disturbance: Disturbance, settle_ms: u32, measure_ms: u32) -> Self {
+    pub(super) fn new(config: Config, disturbance: Disturbance, seed: u64, settle_ms: u32, measure_ms: u32) -> Self {
         let mut session = Session::new(1);
         session.connect();
         Self {
@@ -92,7 +92,7 @@ impl Peer {
             disturbance,
             settle_ms,
             measure_ms,
-            path: path().into(),
+            path: path(seed).into(),
             step: Step::Connecting,
             now_ms: 0,
             since_ms: 0,
@@ -289,8 +289,8 @@ fn growth(before: &Counters, after: &Counters) -> Counters {
 }
 
 /// Short legs in random directions: many corners in the planner's window, each with its own speed.
-fn path() -> Vec<PathVertex> {
-    let mut random = XorshiftStar::new(SEED);
+fn path(seed: u64) -> Vec<PathVertex> {
+    let mut random = XorshiftStar::new(SEED ^ seed);
     let mut random = |below: u64| random.below(below);
     let vertex = |x_um: i32, y_um: i32, z_um: i32, pen: Pen| PathVertex {
         position_um: [x_um, y_um, z_um],
