@@ -1,0 +1,183 @@
+//! Chooses, builds and judges the mutants of a seed, and goes on where an earlier run was interrupted.
+
+use crate::cargo::Cargo;
+use crate::choice::choose;
+use crate::copy::Copy;
+use crate::judge::Judges;
+use crate::parts::part_of;
+use crate::report;
+use crate::results::{Mutant, Outcome, Results};
+use crate::site::Site;
+use crate::sources::{self, Sources};
+use std::path::{Path, PathBuf};
+
+/// Reasons of survivors, from the root of the sources.
+const REASONS: &str = "crates/mutants/reasons.toml";
+
+/// What to do.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// Chooses the mutants.
+    pub seed: u64,
+    /// Number of mutants.
+    pub count: usize,
+    /// File of results; by default below cargo's output folder.
+    pub results: Option<PathBuf>,
+    /// Judge this mutant alone, even if it was judged.
+    pub only: Option<u32>,
+    /// Print the mutants and judge none.
+    pub list: bool,
+    /// Write this document at the end.
+    pub report: Option<PathBuf>,
+}
+
+/// Does what the options say. Returns whether enough mutants were found, as far as they are judged.
+///
+/// # Errors
+/// What cannot be read, built, started or written.
+pub fn run(options: &Options) -> Result<bool, String> {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
+    let root = root.canonicalize().map_err(|error| format!("no sources: {error}"))?;
+    let target = match std::env::var_os("CARGO_TARGET_DIR") {
+        Some(folder) => root.join(folder),
+        None => root.join("target"),
+    };
+    let folder = target.join("mutants");
+    std::fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
+    let tracked = sources::tracked(&root)?;
+    let sources = sources::read(&root, &tracked)?;
+    let file = options.results.clone().unwrap_or_else(|| folder.join("results.json"));
+    let mut results = Results::read(&file, options.seed, options.count, sources.code)?;
+    results.take(&chosen_sites(&sources, &results));
+    eprintln!(
+        "seed {}: {} of {} places, {} judged",
+        options.seed,
+        results.mutants.len(),
+        sources.sites.len(),
+        results.mutants.iter().filter(|mutant| mutant.outcome.is_some()).count()
+    );
+    if options.list {
+        list(&results);
+        return Ok(true);
+    }
+    let is_waiting = |results: &Results| results.mutants.iter().any(|mutant| mutant.outcome.is_none());
+    if options.only.is_some() || is_waiting(&results) {
+        let mut copy = Copy::make(&root, &tracked, folder.join("source"))?;
+        let judges = build(&mut copy, &target, &sources, &mut results)?;
+        results.write(&file)?;
+        judge_all(&judges, options.only, &mut results, &file)?;
+    }
+    finish(&root, options, &results)
+}
+
+fn chosen_sites<'a>(sources: &'a Sources, results: &Results) -> Vec<&'a Site> {
+    let chosen = choose(&sources.sites, results.seed, results.count, &results.uncompilable);
+    chosen.into_iter().map(|site| &sources.sites[site]).collect()
+}
+
+fn list(results: &Results) {
+    for mutant in &results.mutants {
+        println!("{}", shown(mutant));
+    }
+}
+
+/// Writes the mutants into the copy and builds everything. Mutants that do not compile are replaced.
+fn build(copy: &mut Copy, target: &Path, sources: &Sources, results: &mut Results) -> Result<Judges, String> {
+    let folder = copy.folder.clone();
+    let cargo = Cargo { copy: &folder, target };
+    loop {
+        let chosen = choose(&sources.sites, results.seed, results.count, &results.uncompilable);
+        results.take(&chosen_sites(sources, results));
+        copy.mutate(sources, &chosen)?;
+        let errors = cargo.check()?;
+        if errors.is_empty() {
+            break;
+        }
+        let mutants = errors.iter().flat_map(|error| &error.places);
+        let mut wrong: Vec<u32> = mutants
+            .filter_map(|(file, bytes)| copy.mutant_at(file, bytes))
+            .collect();
+        wrong.sort_unstable();
+        wrong.dedup();
+        if wrong.is_empty() {
+            let texts: Vec<&str> = errors.iter().map(|error| error.text.as_str()).collect();
+            return Err(format!("errors that belong to no mutant:\n{}", texts.join("\n")));
+        }
+        eprintln!("replaced, because they do not compile: {wrong:?}");
+        let sites = wrong.iter().map(|number| chosen[*number as usize - 1]);
+        results.uncompilable.extend(sites);
+    }
+    let tests = cargo.tests()?;
+    let campaign = target.join("mutants/etherpen");
+    cargo.campaign(&campaign)?;
+    Ok(Judges {
+        copy: folder,
+        tests,
+        campaign,
+    })
+}
+
+/// Judges the mutants that were not judged yet, or one; keeps the results after each.
+fn judge_all(judges: &Judges, only: Option<u32>, results: &mut Results, file: &Path) -> Result<(), String> {
+    let is_due = |mutant: &Mutant| match only {
+        Some(number) => mutant.number == number,
+        None => mutant.outcome.is_none(),
+    };
+    let due: Vec<usize> = (0..results.mutants.len())
+        .filter(|place| is_due(&results.mutants[*place]))
+        .collect();
+    if let (true, Some(number)) = (due.is_empty(), only) {
+        let last = results.mutants.len();
+        return Err(format!("there is no mutant {number}; the numbers are 1 to {last}"));
+    }
+    for place in due {
+        let mutant = &results.mutants[place];
+        let part = part_of(&mutant.file).ok_or_else(|| format!("{} is in no part", mutant.file))?;
+        eprintln!("{}", shown(mutant));
+        let outcome = judges.judge(mutant.number, part, &mut results.baselines_s)?;
+        eprintln!("    {}", told(&outcome));
+        results.mutants[place].outcome = Some(outcome);
+        results.write(file)?;
+    }
+    Ok(())
+}
+
+/// Says how many were found, and writes the document.
+fn finish(root: &Path, options: &Options, results: &Results) -> Result<bool, String> {
+    let text = std::fs::read_to_string(root.join(REASONS)).map_err(|error| format!("{REASONS}: {error}"))?;
+    let reasons = report::reasons(&text).map_err(|error| format!("{REASONS}: {error}"))?;
+    let judged = results.mutants.iter().filter(|mutant| mutant.outcome.is_some());
+    let judged = judged.count();
+    let survivors = results
+        .mutants
+        .iter()
+        .filter(|mutant| mutant.outcome == Some(Outcome::Survived));
+    for mutant in survivors {
+        let reason = report::reason_of(mutant, &reasons).unwrap_or("no reason known: write a test, or the reason");
+        eprintln!("survives: {}\n    {reason}", shown(mutant));
+    }
+    eprintln!("seed {}: {} of {judged} mutants found", results.seed, results.found());
+    if let Some(document) = &options.report {
+        let text = report::document(results, &reasons);
+        std::fs::write(document, text).map_err(|error| format!("{}: {error}", document.display()))?;
+    }
+    Ok(report::is_enough(results.found(), judged))
+}
+
+fn shown(mutant: &Mutant) -> String {
+    let operator = mutant.operator.name();
+    format!(
+        "{} {}: {}: {operator}: {}",
+        mutant.number, mutant.file, mutant.function, mutant.change
+    )
+}
+
+fn told(outcome: &Outcome) -> String {
+    match outcome {
+        Outcome::Found(finding) => format!(
+            "found by {} after {:.1} s: {}",
+            finding.judge, finding.after_s, finding.what
+        ),
+        Outcome::Survived => "survives".to_owned(),
+    }
+}
