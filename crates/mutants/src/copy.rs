@@ -20,21 +20,17 @@ pub(crate) struct Copy {
 }
 
 impl Copy {
-    /// Makes the copy in `folder`. Files whose content is already there keep their times, so that cargo builds little.
+    /// Makes the copy in `folder`, without the files that [`Self::mutate`] writes. Files whose content is already there keep their times, so that cargo builds little.
     ///
     /// # Errors
     /// A file cannot be read or written.
-    pub(crate) fn make(root: &Path, tracked: &[String], folder: PathBuf) -> Result<Self, String> {
+    pub(crate) fn make(root: &Path, tracked: &[String], sources: &Sources, folder: PathBuf) -> Result<Self, String> {
         for file in tracked {
             let content = fs::read(root.join(file)).map_err(|error| format!("{file}: {error}"))?;
             let is_manifest = manifests().iter().any(|(manifest, _)| manifest == file);
-            if !is_manifest && file != "Cargo.lock" && !is_mutated(file) {
+            if !is_manifest && !sources.texts.contains_key(file) {
                 write(&folder.join(file), &content)?;
             }
-        }
-        let lock = folder.join("Cargo.lock");
-        if !lock.exists() {
-            fs::copy(root.join("Cargo.lock"), &lock).map_err(|error| format!("Cargo.lock: {error}"))?;
         }
         for (manifest, path) in manifests() {
             let text = fs::read_to_string(root.join(&manifest)).map_err(|error| format!("{manifest}: {error}"))?;
@@ -76,10 +72,6 @@ impl Copy {
     pub(crate) fn mutant_at(&self, file: &str, bytes: &std::ops::Range<usize>) -> Option<u32> {
         self.mutated.get(file)?.mutant_at(bytes)
     }
-}
-
-fn is_mutated(file: &str) -> bool {
-    file.ends_with(".rs") && crate::parts::part_of(file).is_some()
 }
 
 /// Manifests of the crates with mutants, and the path from there to the switch.

@@ -46,7 +46,6 @@ const FIRMWARE: &[Suite] = &[
     integration("", "clocks"),
     integration("", "drives"),
     integration("", "ethercat"),
-    integration("", "followed"),
     integration("", "reactions"),
 ];
 /// Tests of the EtherCAT master, alone and with the virtual segment.
@@ -57,11 +56,11 @@ const MASTER: &[Suite] = &[
     integration("", "ethercat"),
     integration("", "reactions"),
 ];
-/// Tests of the planner, alone and in the closed loop.
+/// Tests of the planner, in whole drawings and alone.
 const PLANNER: &[Suite] = &[
-    library("crates/motion"),
     integration("", "robots"),
-    integration("", "reactions"),
+    integration("", "simulated_drawing"),
+    library("crates/motion"),
 ];
 
 /// All mutated code. What only diagnoses, prints or describes (the object dictionary, names of a slave, topology for
@@ -94,12 +93,7 @@ pub(crate) const PARTS: &[Part] = &[
     Part {
         sources: &["src/network"],
         reason: "without addresses no telegram leaves; foreign frames share the wire",
-        suites: &[
-            library(""),
-            integration("", "udp_firmware"),
-            integration("", "ethercat"),
-            integration("", "reactions"),
-        ],
+        suites: FIRMWARE,
         profile: "bus",
     },
     Part {

@@ -77,6 +77,12 @@ pub fn document(results: &Results, reasons: &[Reason]) -> String {
     text
 }
 
+const NOT_COVERED: &str = "\n\
+Not mutated are tests, constants and `const fn` (the switch needs a value at run time), arguments of macros, what only prints or
+diagnoses, and the drivers of the boards. Boundaries of floating-point numbers stay where they are: moved, they would differ
+for one number of 2^64. Mutants that do not compile are replaced by the next ones of the seed.
+";
+
 fn heading(results: &Results) -> String {
     let count = |is_it: &dyn Fn(&Mutant) -> bool| results.mutants.iter().filter(|mutant| is_it(mutant)).count();
     let by_campaign = count(&|mutant| match &mutant.outcome {
@@ -108,6 +114,7 @@ fn heading(results: &Results) -> String {
         let sources: Vec<String> = part.sources.iter().map(|source| format!("`{source}`")).collect();
         let _ = writeln!(text, "- {}: {}", sources.join(", "), part.reason);
     }
+    text.push_str(NOT_COVERED);
     text
 }
 
@@ -138,6 +145,7 @@ mod tests {
             function: "A::f".to_owned(),
             operator: Operator::Side,
             change: format!("`b{number} || c` left out"),
+            passed: 0,
             outcome: Some(outcome),
         }
     }

@@ -5,6 +5,9 @@ use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
 
+/// Time of each judge without a mutant, s, by the judge's name.
+pub type Baselines = BTreeMap<String, f64>;
+
 /// How a mutant was found.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Finding {
@@ -39,6 +42,9 @@ pub struct Mutant {
     pub operator: Operator,
     /// The change in words.
     pub change: String,
+    /// Number of judges that found nothing.
+    #[serde(default)]
+    pub passed: usize,
     /// What became of it; `None` if it was not judged yet.
     pub outcome: Option<Outcome>,
 }
@@ -51,6 +57,7 @@ impl Mutant {
             function: site.function.clone(),
             operator: site.operator,
             change: site.change.clone(),
+            passed: 0,
             outcome: None,
         }
     }
@@ -79,7 +86,7 @@ pub struct Results {
     /// Sites whose mutants do not compile.
     pub uncompilable: Vec<usize>,
     /// Time of each judge without a mutant, s.
-    pub baselines_s: BTreeMap<String, f64>,
+    pub baselines_s: Baselines,
     /// The mutants, in their order.
     pub mutants: Vec<Mutant>,
 }
@@ -135,7 +142,8 @@ impl Results {
         for (number, site) in (1..).zip(chosen) {
             let mut mutant = Mutant::new(number, site);
             if let Some(place) = old.iter().position(|mutant| mutant.is_at(site)) {
-                mutant.outcome = old.remove(place).outcome;
+                let old = old.remove(place);
+                (mutant.passed, mutant.outcome) = (old.passed, old.outcome);
             }
             self.mutants.push(mutant);
         }

@@ -3,8 +3,8 @@
 use crate::cargo::Cargo;
 use crate::choice::choose;
 use crate::copy::Copy;
-use crate::judge::Judges;
-use crate::parts::part_of;
+use crate::judge::{Judges, judges_of};
+use crate::parts::{PARTS, part_of};
 use crate::report;
 use crate::results::{Mutant, Outcome, Results};
 use crate::site::Site;
@@ -62,7 +62,7 @@ pub fn run(options: &Options) -> Result<bool, String> {
     }
     let is_waiting = |results: &Results| results.mutants.iter().any(|mutant| mutant.outcome.is_none());
     if options.only.is_some() || is_waiting(&results) {
-        let mut copy = Copy::make(&root, &tracked, folder.join("source"))?;
+        let mut copy = Copy::make(&root, &tracked, &sources, folder.join("source"))?;
         let judges = build(&mut copy, &target, &sources, &mut results)?;
         results.write(&file)?;
         judge_all(&judges, options.only, &mut results, &file)?;
@@ -108,37 +108,57 @@ fn build(copy: &mut Copy, target: &Path, sources: &Sources, results: &mut Result
         results.uncompilable.extend(sites);
     }
     let tests = cargo.tests()?;
-    let campaign = target.join("mutants/etherpen");
-    cargo.campaign(&campaign)?;
+    let etherpen = target.join("mutants/etherpen");
+    cargo.campaign(&etherpen)?;
     Ok(Judges {
         copy: folder,
         tests,
-        campaign,
+        etherpen,
     })
 }
 
-/// Judges the mutants that were not judged yet, or one; keeps the results after each.
+/// Judges the mutants that were not judged yet, or one. All meet their first judge, then those that are left the second:
+/// the quick judges first. Keeps the results after each.
 fn judge_all(judges: &Judges, only: Option<u32>, results: &mut Results, file: &Path) -> Result<(), String> {
-    let is_due = |mutant: &Mutant| match only {
-        Some(number) => mutant.number == number,
-        None => mutant.outcome.is_none(),
-    };
-    let due: Vec<usize> = (0..results.mutants.len())
-        .filter(|place| is_due(&results.mutants[*place]))
-        .collect();
-    if let (true, Some(number)) = (due.is_empty(), only) {
+    if let Some(number) = only {
         let last = results.mutants.len();
-        return Err(format!("there is no mutant {number}; the numbers are 1 to {last}"));
+        let mutant = results.mutants.iter_mut().find(|mutant| mutant.number == number);
+        let mutant = mutant.ok_or_else(|| format!("there is no mutant {number}; the numbers are 1 to {last}"))?;
+        (mutant.passed, mutant.outcome) = (0, None);
     }
-    for place in due {
-        let mutant = &results.mutants[place];
-        let part = part_of(&mutant.file).ok_or_else(|| format!("{} is in no part", mutant.file))?;
-        eprintln!("{}", shown(mutant));
-        let outcome = judges.judge(mutant.number, part, &mut results.baselines_s)?;
-        eprintln!("    {}", told(&outcome));
-        results.mutants[place].outcome = Some(outcome);
-        results.write(file)?;
+    let rounds = PARTS.iter().map(judges_of).max().unwrap_or(0);
+    for round in 0..rounds {
+        for place in 0..results.mutants.len() {
+            let mutant = &results.mutants[place];
+            let is_meant = only.is_none_or(|number| mutant.number == number);
+            if is_meant && mutant.outcome.is_none() && mutant.passed == round {
+                judge(judges, round, place, results)?;
+                results.write(file)?;
+            }
+        }
     }
+    Ok(())
+}
+
+/// Lets the judge of a round look at a mutant.
+fn judge(judges: &Judges, round: usize, place: usize, results: &mut Results) -> Result<(), String> {
+    let (mutant, baselines_s) = (&mut results.mutants[place], &mut results.baselines_s);
+    let part = part_of(&mutant.file).ok_or_else(|| format!("{} is in no part", mutant.file))?;
+    eprintln!("{}", shown(mutant));
+    mutant.outcome = match judges.ask(round, mutant.number, part, baselines_s)? {
+        Some(found) => {
+            eprintln!(
+                "    found by {} after {:.1} s: {}",
+                found.judge, found.after_s, found.what
+            );
+            Some(Outcome::Found(found))
+        }
+        None => {
+            mutant.passed = round + 1;
+            eprintln!("    passes {} of {} judges", mutant.passed, judges_of(part));
+            (mutant.passed == judges_of(part)).then_some(Outcome::Survived)
+        }
+    };
     Ok(())
 }
 
@@ -170,14 +190,4 @@ fn shown(mutant: &Mutant) -> String {
         "{} {}: {}: {operator}: {}",
         mutant.number, mutant.file, mutant.function, mutant.change
     )
-}
-
-fn told(outcome: &Outcome) -> String {
-    match outcome {
-        Outcome::Found(finding) => format!(
-            "found by {} after {:.1} s: {}",
-            finding.judge, finding.after_s, finding.what
-        ),
-        Outcome::Survived => "survives".to_owned(),
-    }
 }
