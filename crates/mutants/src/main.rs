@@ -25,8 +25,8 @@ struct Arguments {
     /// Print the mutants and judge none
     #[arg(long)]
     list: bool,
-    /// Write this document at the end: docs/mutants.md
-    #[arg(long, value_name = "FILE", conflicts_with = "list")]
+    /// Write this document at the end, of what is known then: docs/mutants.md
+    #[arg(long, value_name = "FILE")]
     report: Option<PathBuf>,
 }
 

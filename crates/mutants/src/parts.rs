@@ -24,10 +24,11 @@ pub(crate) struct Suite {
 
 impl std::fmt::Display for Suite {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let folder = if self.package.is_empty() { "." } else { self.package };
-        match self.target {
-            "" => write!(f, "{folder}"),
-            target => write!(f, "{folder}/tests/{target}"),
+        match (self.package, self.target) {
+            ("", "") => write!(f, "src"),
+            ("", target) => write!(f, "tests/{target}"),
+            (package, "") => write!(f, "{package}"),
+            (package, target) => write!(f, "{package}/tests/{target}"),
         }
     }
 }

@@ -118,6 +118,14 @@ fn heading(results: &Results) -> String {
     text
 }
 
+fn plural(judges: usize) -> String {
+    if judges == 1 {
+        "1 judge".to_owned()
+    } else {
+        format!("{judges} judges")
+    }
+}
+
 fn row(mutant: &Mutant, reasons: &[Reason]) -> String {
     let Mutant {
         number, file, function, ..
@@ -125,7 +133,7 @@ fn row(mutant: &Mutant, reasons: &[Reason]) -> String {
     let last = match &mutant.outcome {
         Some(Outcome::Found(finding)) => format!("{}: {} | {:.1}", finding.judge, finding.what, finding.after_s),
         Some(Outcome::Survived) => reason_of(mutant, reasons).unwrap_or("no reason known").to_owned(),
-        None => "not judged yet | -".to_owned(),
+        None => format!("passes {}, not judged to the end | -", plural(mutant.passed)),
     };
     let operator = mutant.operator.name();
     let change = mutant.change.replace('|', "\\|");
@@ -154,7 +162,7 @@ mod tests {
     fn the_document_names_who_found_a_mutant_or_why_it_survives() {
         let mut results = Results::new(9, 2, 0);
         let found = Outcome::Found(Finding {
-            judge: ".".to_owned(),
+            judge: "src".to_owned(),
             what: "tests::one".to_owned(),
             after_s: 0.25,
         });
@@ -164,7 +172,7 @@ mod tests {
         let text = document(&results, &reasons(listed).unwrap());
         for line in [
             "| 9 | 2 | 1 | 1 | 0 | 1 |",
-            "| 1 | `src/a.rs`: `A::f` | condition dropped | `b1 \\|\\| c` left out | .: tests::one | 0.2 |",
+            "| 1 | `src/a.rs`: `A::f` | condition dropped | `b1 \\|\\| c` left out | src: tests::one | 0.2 |",
             "| 2 | `src/a.rs`: `A::f` | condition dropped | `b2 \\|\\| c` left out | equal |",
         ] {
             assert!(text.lines().any(|other| other == line), "{line}\n{text}");

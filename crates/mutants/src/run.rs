@@ -27,7 +27,7 @@ pub struct Options {
     pub only: Option<u32>,
     /// Print the mutants and judge none.
     pub list: bool,
-    /// Write this document at the end.
+    /// Write this document at the end, of what is known then.
     pub report: Option<PathBuf>,
 }
 
@@ -56,18 +56,17 @@ pub fn run(options: &Options) -> Result<bool, String> {
         sources.sites.len(),
         results.mutants.iter().filter(|mutant| mutant.outcome.is_some()).count()
     );
+    let is_waiting = results.mutants.iter().any(|mutant| mutant.outcome.is_none());
     if options.list {
         list(&results);
-        return Ok(true);
-    }
-    let is_waiting = |results: &Results| results.mutants.iter().any(|mutant| mutant.outcome.is_none());
-    if options.only.is_some() || is_waiting(&results) {
+    } else if is_waiting || options.only.is_some() {
         let mut copy = Copy::make(&root, &tracked, &sources, folder.join("source"))?;
         let judges = build(&mut copy, &target, &sources, &mut results)?;
         results.write(&file)?;
         judge_all(&judges, options.only, &mut results, &file)?;
     }
-    finish(&root, options, &results)
+    let is_enough = finish(&root, options, &results)?;
+    Ok(is_enough || options.list)
 }
 
 fn chosen_sites<'a>(sources: &'a Sources, results: &Results) -> Vec<&'a Site> {
