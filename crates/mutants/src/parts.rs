@@ -155,11 +155,11 @@ pub(crate) const PARTS: &[Part] = &[
 /// The part that a file belongs to.
 #[must_use]
 pub(crate) fn part_of(file: &str) -> Option<&'static Part> {
-    let holds = |source: &&str| {
+    let holds = |source: &str| {
         file.strip_prefix(source)
             .is_some_and(|rest| rest.is_empty() || rest.starts_with('/'))
     };
     PARTS
         .iter()
-        .find(|part| part.sources.iter().any(|source| holds(&source)))
+        .find(|part| part.sources.iter().any(|source| holds(source)))
 }

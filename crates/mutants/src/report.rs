@@ -5,7 +5,7 @@ use crate::results::{Mutant, Outcome, Results};
 use serde::Deserialize;
 use std::fmt::Write;
 
-/// Part of the mutants that has to be found, percent.
+/// Part of the mutants that has to be found, percent; those that do what the original does are not counted.
 pub const FOUND_MIN_PERCENT: usize = 95;
 
 /// Why a mutant survives.
@@ -18,6 +18,9 @@ pub struct Reason {
     pub function: String,
     /// The change in words.
     pub change: String,
+    /// Whether no test can find it: the mutant does what the original does.
+    #[serde(default)]
+    pub equivalent: bool,
     /// Why neither the tests nor the campaign find it.
     pub reason: String,
 }
@@ -40,35 +43,76 @@ pub fn reasons(text: &str) -> Result<Vec<Reason>, String> {
 
 /// The reason why a mutant survives.
 #[must_use]
-pub fn reason_of<'a>(mutant: &Mutant, reasons: &'a [Reason]) -> Option<&'a str> {
+pub fn reason_of<'a>(mutant: &Mutant, reasons: &'a [Reason]) -> Option<&'a Reason> {
     let place = (&mutant.file, &mutant.function, &mutant.change);
     let of = |reason: &&Reason| (&reason.file, &reason.function, &reason.change) == place;
-    reasons.iter().find(of).map(|reason| reason.reason.trim())
+    reasons.iter().find(of)
 }
 
-/// Whether enough of these mutants were found.
-#[must_use]
-pub fn is_enough(found: usize, mutants: usize) -> bool {
-    mutants > 0 && found * 100 >= mutants * FOUND_MIN_PERCENT
+/// How many mutants were found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Score {
+    /// Found.
+    pub found: usize,
+    /// Survivors that a test could find.
+    pub missed: usize,
+    /// Survivors that no test can find.
+    pub equivalent: usize,
+    /// Not judged to the end.
+    pub waiting: usize,
+}
+
+impl Score {
+    /// The score of these mutants.
+    #[must_use]
+    pub fn of(mutants: &[Mutant], reasons: &[Reason]) -> Self {
+        let mut score = Self {
+            found: 0,
+            missed: 0,
+            equivalent: 0,
+            waiting: 0,
+        };
+        for mutant in mutants {
+            let is_equivalent = reason_of(mutant, reasons).is_some_and(|reason| reason.equivalent);
+            let count = match &mutant.outcome {
+                Some(Outcome::Found(_)) => &mut score.found,
+                Some(Outcome::Survived) if is_equivalent => &mut score.equivalent,
+                Some(Outcome::Survived) => &mut score.missed,
+                None => &mut score.waiting,
+            };
+            *count += 1;
+        }
+        score
+    }
+
+    /// Whether enough were found of those that can be found and are judged.
+    #[must_use]
+    pub fn is_enough(&self) -> bool {
+        self.found > 0 && self.found * 100 >= (self.found + self.missed) * FOUND_MIN_PERCENT
+    }
 }
 
 /// The document.
 #[must_use]
 pub fn document(results: &Results, reasons: &[Reason]) -> String {
-    let mut text = heading(results);
-    for (title, survives) in [("Survivors", true), ("Found", false)] {
-        let of = |mutant: &&Mutant| matches!(mutant.outcome, Some(Outcome::Survived)) == survives;
-        let mutants: Vec<&Mutant> = results.mutants.iter().filter(of).collect();
-        let last = if survives {
-            "why it survives"
-        } else {
-            "found by | after s"
-        };
-        let columns = if survives { 5 } else { 6 };
+    let mut text = heading(results, Score::of(&results.mutants, reasons));
+    let is = |mutant: &Mutant, title: &str| match &mutant.outcome {
+        Some(Outcome::Survived) => title == "Survivors",
+        Some(Outcome::Found(_)) => title == "Found",
+        None => title == "Not judged to the end",
+    };
+    for (title, last) in [
+        ("Survivors", "why it survives"),
+        ("Not judged to the end", "judges that found nothing"),
+        ("Found", "found by, after s"),
+    ] {
+        let mutants: Vec<&Mutant> = results.mutants.iter().filter(|mutant| is(mutant, title)).collect();
+        if mutants.is_empty() {
+            continue;
+        }
         let _ = write!(
             text,
-            "\n## {title}\n\n| number | place | operator | change | {last} |\n{}|\n",
-            "|---".repeat(columns)
+            "\n## {title}\n\n| number | place | operator | change | {last} |\n|---|---|---|---|---|\n"
         );
         for mutant in mutants {
             let _ = writeln!(text, "{}", row(mutant, reasons));
@@ -83,13 +127,12 @@ diagnoses, and the drivers of the boards. Boundaries of floating-point numbers s
 for one number of 2^64. Mutants that do not compile are replaced by the next ones of the seed.
 ";
 
-fn heading(results: &Results) -> String {
+fn heading(results: &Results, score: Score) -> String {
     let count = |is_it: &dyn Fn(&Mutant) -> bool| results.mutants.iter().filter(|mutant| is_it(mutant)).count();
     let by_campaign = count(&|mutant| match &mutant.outcome {
         Some(Outcome::Found(finding)) => finding.judge.starts_with("campaign"),
         _ => false,
     });
-    let (found, all) = (results.found(), results.mutants.len());
     let mut text = format!(
         "# Mutants\n\n\
          A mutant is the firmware with one small error: a comparison turned round, a latch forgotten, a limit dropped. Tests \
@@ -103,12 +146,18 @@ fn heading(results: &Results) -> String {
          A seed chooses the mutants, spread over operators and files. All are compiled into one copy of the sources, and an\n\
          environment variable turns one of them on. The tests of its part look at it first, the quickest first, then one robot\n\
          hour of [campaign](campaign.md). A judge that takes more than five times as long as without a mutant has found it.\n\n\
-         | seed | mutants | found | by tests | by campaigns | survivors |\n|---|---|---|---|---|---|\n\
-         | {seed} | {all} | {found} | {by_tests} | {by_campaign} | {survivors} |\n\n\
+         An equivalent mutant does what the original does: no test can find it.\n\n\
+         | seed | mutants | found | by tests | by campaigns | missed | equivalent | not judged to the end |\n\
+         |---|---|---|---|---|---|---|---|\n\
+         | {seed} | {all} | {found} | {by_tests} | {by_campaign} | {missed} | {equivalent} | {waiting} |\n\n\
          Mutated are:\n\n",
         seed = results.seed,
-        by_tests = found - by_campaign,
-        survivors = all - found,
+        all = results.mutants.len(),
+        found = score.found,
+        by_tests = score.found - by_campaign,
+        missed = score.missed,
+        equivalent = score.equivalent,
+        waiting = score.waiting,
     );
     for part in PARTS {
         let sources: Vec<String> = part.sources.iter().map(|source| format!("`{source}`")).collect();
@@ -118,22 +167,18 @@ fn heading(results: &Results) -> String {
     text
 }
 
-fn plural(judges: usize) -> String {
-    if judges == 1 {
-        "1 judge".to_owned()
-    } else {
-        format!("{judges} judges")
-    }
-}
-
 fn row(mutant: &Mutant, reasons: &[Reason]) -> String {
     let Mutant {
         number, file, function, ..
     } = mutant;
     let last = match &mutant.outcome {
-        Some(Outcome::Found(finding)) => format!("{}: {} | {:.1}", finding.judge, finding.what, finding.after_s),
-        Some(Outcome::Survived) => reason_of(mutant, reasons).unwrap_or("no reason known").to_owned(),
-        None => format!("passes {}, not judged to the end | -", plural(mutant.passed)),
+        Some(Outcome::Found(finding)) => format!("{}: {}, {:.1}", finding.judge, finding.what, finding.after_s),
+        Some(Outcome::Survived) => match reason_of(mutant, reasons) {
+            Some(reason) if reason.equivalent => format!("equivalent: {}", reason.reason.trim()),
+            Some(reason) => reason.reason.trim().to_owned(),
+            None => "no reason known".to_owned(),
+        },
+        None => mutant.passed.to_string(),
     };
     let operator = mutant.operator.name();
     let change = mutant.change.replace('|', "\\|");
@@ -146,7 +191,7 @@ mod tests {
     use crate::results::Finding;
     use crate::site::Operator;
 
-    fn mutant(number: u32, outcome: Outcome) -> Mutant {
+    fn mutant(number: u32, outcome: Option<Outcome>) -> Mutant {
         Mutant {
             number,
             file: "src/a.rs".to_owned(),
@@ -154,7 +199,7 @@ mod tests {
             operator: Operator::Side,
             change: format!("`b{number} || c` left out"),
             passed: 0,
-            outcome: Some(outcome),
+            outcome,
         }
     }
 
@@ -166,14 +211,19 @@ mod tests {
             what: "tests::one".to_owned(),
             after_s: 0.25,
         });
-        results.mutants = vec![mutant(1, found), mutant(2, Outcome::Survived)];
-        let listed =
-            "[[survivor]]\nfile = 'src/a.rs'\nfunction = 'A::f'\nchange = '`b2 || c` left out'\nreason = 'equal'\n";
+        results.mutants = vec![
+            mutant(1, Some(found)),
+            mutant(2, Some(Outcome::Survived)),
+            mutant(3, None),
+        ];
+        let listed = "[[survivor]]\nfile = 'src/a.rs'\nfunction = 'A::f'\nchange = '`b2 || c` left out'\n\
+                      equivalent = true\nreason = 'equal'\n";
         let text = document(&results, &reasons(listed).unwrap());
         for line in [
-            "| 9 | 2 | 1 | 1 | 0 | 1 |",
-            "| 1 | `src/a.rs`: `A::f` | condition dropped | `b1 \\|\\| c` left out | src: tests::one | 0.2 |",
-            "| 2 | `src/a.rs`: `A::f` | condition dropped | `b2 \\|\\| c` left out | equal |",
+            "| 9 | 3 | 1 | 1 | 0 | 0 | 1 | 1 |",
+            "| 1 | `src/a.rs`: `A::f` | condition dropped | `b1 \\|\\| c` left out | src: tests::one, 0.2 |",
+            "| 2 | `src/a.rs`: `A::f` | condition dropped | `b2 \\|\\| c` left out | equivalent: equal |",
+            "| 3 | `src/a.rs`: `A::f` | condition dropped | `b3 \\|\\| c` left out | 0 |",
         ] {
             assert!(text.lines().any(|other| other == line), "{line}\n{text}");
         }
@@ -182,9 +232,15 @@ mod tests {
     }
 
     #[test]
-    fn ninety_five_of_a_hundred_are_enough() {
-        assert!(is_enough(95, 100) && is_enough(1, 1));
-        assert!(!is_enough(94, 100) && !is_enough(0, 0));
+    fn ninety_five_of_a_hundred_that_can_be_found_are_enough() {
+        let score = |found, missed, equivalent| Score {
+            found,
+            missed,
+            equivalent,
+            waiting: 0,
+        };
+        assert!(score(95, 5, 0).is_enough() && score(1, 0, 99).is_enough());
+        assert!(!score(94, 6, 0).is_enough() && !score(0, 0, 100).is_enough());
     }
 
     #[test]

@@ -66,12 +66,6 @@ impl Mutant {
         let own = (&self.file, &self.function, self.operator, &self.change);
         own == (&site.file, &site.function, site.operator, &site.change)
     }
-
-    /// Whether it was found.
-    #[must_use]
-    pub fn is_found(&self) -> bool {
-        matches!(self.outcome, Some(Outcome::Found(_)))
-    }
 }
 
 /// The mutants of a seed.
@@ -147,12 +141,6 @@ impl Results {
             }
             self.mutants.push(mutant);
         }
-    }
-
-    /// Mutants that were found.
-    #[must_use]
-    pub fn found(&self) -> usize {
-        self.mutants.iter().filter(|mutant| mutant.is_found()).count()
     }
 }
 

@@ -5,7 +5,7 @@ use crate::choice::choose;
 use crate::copy::Copy;
 use crate::judge::{Judges, judges_of};
 use crate::parts::{PARTS, part_of};
-use crate::report;
+use crate::report::{self, Score};
 use crate::results::{Mutant, Outcome, Results};
 use crate::site::Site;
 use crate::sources::{self, Sources};
@@ -165,22 +165,25 @@ fn judge(judges: &Judges, round: usize, place: usize, results: &mut Results) -> 
 fn finish(root: &Path, options: &Options, results: &Results) -> Result<bool, String> {
     let text = std::fs::read_to_string(root.join(REASONS)).map_err(|error| format!("{REASONS}: {error}"))?;
     let reasons = report::reasons(&text).map_err(|error| format!("{REASONS}: {error}"))?;
-    let judged = results.mutants.iter().filter(|mutant| mutant.outcome.is_some());
-    let judged = judged.count();
     let survivors = results
         .mutants
         .iter()
         .filter(|mutant| mutant.outcome == Some(Outcome::Survived));
     for mutant in survivors {
-        let reason = report::reason_of(mutant, &reasons).unwrap_or("no reason known: write a test, or the reason");
+        let reason = report::reason_of(mutant, &reasons).map(|reason| reason.reason.trim());
+        let reason = reason.unwrap_or("no reason known: write a test, or the reason");
         eprintln!("survives: {}\n    {reason}", shown(mutant));
     }
-    eprintln!("seed {}: {} of {judged} mutants found", results.seed, results.found());
+    let score = Score::of(&results.mutants, &reasons);
+    eprintln!(
+        "seed {}: {} found, {} missed, {} equivalent, {} not judged to the end",
+        results.seed, score.found, score.missed, score.equivalent, score.waiting
+    );
     if let Some(document) = &options.report {
         let text = report::document(results, &reasons);
         std::fs::write(document, text).map_err(|error| format!("{}: {error}", document.display()))?;
     }
-    Ok(report::is_enough(results.found(), judged))
+    Ok(score.is_enough())
 }
 
 fn shown(mutant: &Mutant) -> String {
