@@ -10,7 +10,7 @@ fn findings(folder: &str, table: &str) -> Vec<String> {
 }
 
 /// Folders of sources, and the texts with their layers.
-const CRATES: [(&str, &str); 7] = [
+const CRATES: [(&str, &str); 8] = [
     ("src", include_str!("../src/lib.rs")),
     ("crates/certify/src", include_str!("../crates/certify/src/lib.rs")),
     ("crates/drives/src", include_str!("../crates/drives/src/lib.rs")),
@@ -18,6 +18,7 @@ const CRATES: [(&str, &str); 7] = [
     ("crates/link/src", include_str!("../crates/link/src/lib.rs")),
     ("crates/monitor/src", include_str!("../crates/monitor/src/lib.rs")),
     ("crates/motion/src", include_str!("../crates/motion/src/lib.rs")),
+    ("crates/mutants/src", include_str!("../crates/mutants/src/lib.rs")),
 ];
 
 #[test]

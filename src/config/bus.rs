@@ -189,4 +189,20 @@ mod tests {
             assert_eq!(parse(wrong), Err(AddressError), "{wrong}");
         }
     }
+
+    #[test]
+    fn the_ip_stack_gets_the_gateway_if_there_is_one_and_nothing_without_udp() {
+        let mut bus = Bus {
+            segment: Ipv4Addr::new(10, 0, 2, 2),
+            ..Bus::default()
+        };
+        assert_eq!(bus.network(), None);
+        bus.transport = Transport::Udp;
+        assert_eq!(
+            bus.network().map(|settings| (settings.gateway, settings.segment)),
+            Some((None, bus.segment))
+        );
+        bus.gateway = Ipv4Addr::new(10, 0, 2, 1);
+        assert_eq!(bus.network().and_then(|settings| settings.gateway), Some(bus.gateway));
+    }
 }

@@ -149,6 +149,9 @@ mod tests {
         config.axes[1].following_error_max_rad = 0.001;
         config.axes[1].feedback_gain_per_s = 10.0;
         assert_eq!(config.check(), Ok(()));
+        // However slow the axis is.
+        config.axes[1].quick_stop_rad_s2 = 0.99;
+        assert_eq!(config.check().unwrap_err().low, 1.0);
     }
 
     #[test]

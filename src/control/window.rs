@@ -92,3 +92,60 @@ impl Window {
         })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use heapless::spsc::Queue;
+
+    /// Setpoint of a start, with this velocity of all axes.
+    fn queued(epoch: u8, velocity_rad_s: f64) -> Queued {
+        let setpoint = Setpoint {
+            velocity_rad_s: [velocity_rad_s; AXES],
+            ..Setpoint::default()
+        };
+        Queued { epoch, setpoint }
+    }
+
+    #[test]
+    fn after_the_end_the_last_velocities_are_used_and_none_of_earlier_setpoints() {
+        let mut queue = Queue::<Queued, 8>::new();
+        let (mut producer, mut consumer) = queue.split();
+        let mut window = Window::new();
+        assert_eq!(window.velocities_around(0), [&[0.0; AXES]; 2]);
+        for velocity_rad_s in [7.0, 8.0, 9.0, 10.0, 11.0] {
+            assert!(producer.enqueue(queued(1, velocity_rad_s)).is_ok());
+        }
+        window.fill(&mut consumer, 1);
+        window.clear();
+        for velocity_rad_s in [1.0, 2.0, 3.0] {
+            assert!(producer.enqueue(queued(2, velocity_rad_s)).is_ok());
+        }
+        window.fill(&mut consumer, 2);
+        for (whole, expected) in [(0, [1.0, 2.0]), (1, [2.0, 3.0]), (2, [3.0, 3.0]), (9, [3.0, 3.0])] {
+            let expected = expected.map(|velocity_rad_s| [velocity_rad_s; AXES]);
+            assert_eq!(
+                window.velocities_around(whole).map(|velocities| *velocities),
+                expected,
+                "{whole} ms ahead"
+            );
+        }
+    }
+
+    #[test]
+    fn setpoints_of_another_start_are_discarded() {
+        let mut queue = Queue::<Queued, 8>::new();
+        let (mut producer, mut consumer) = queue.split();
+        for (epoch, velocity_rad_s) in [(1, 5.0), (2, 6.0), (1, 7.0)] {
+            assert!(producer.enqueue(queued(epoch, velocity_rad_s)).is_ok());
+        }
+        let mut window = Window::new();
+        window.fill(&mut consumer, 2);
+        assert_eq!(
+            window.first().map(|setpoint| setpoint.velocity_rad_s),
+            Some([6.0; AXES])
+        );
+        window.advance();
+        assert!(window.is_empty() && window.first().is_none());
+    }
+}

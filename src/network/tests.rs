@@ -49,14 +49,25 @@ fn arp_reply(request: &[u8], address: Ipv4Addr) -> Option<StdVec<u8>> {
 fn run(
     settings: NetworkSettings,
     limit_ms: u32,
+    answer: impl FnMut(u32, &[u8]) -> Option<StdVec<u8>>,
+) -> StdVec<(u32, Option<UdpRepr>)> {
+    run_with(&[(0, Some(settings))], limit_ms, answer)
+}
+
+/// Runs a task whose settings change at these times, ms.
+fn run_with(
+    settings: &[(u32, Option<NetworkSettings>)],
+    limit_ms: u32,
     mut answer: impl FnMut(u32, &[u8]) -> Option<StdVec<u8>>,
 ) -> StdVec<(u32, Option<UdpRepr>)> {
     let queues = Box::leak(Box::new(NetworkQueues::new()));
     let (mut end, mut task, mut configure) = queues.split();
-    assert!(configure.enqueue(Some(settings)).is_ok());
     let mut life = pin!(async move { task.run().await });
     let mut news = StdVec::new();
     for ms in 0..limit_ms {
+        for (_, settings) in settings.iter().filter(|(at_ms, _)| *at_ms == ms) {
+            assert!(configure.enqueue(*settings).is_ok());
+        }
         embassy_time::MockDriver::get().advance(embassy_time::Duration::from_millis(1));
         assert!(life.as_mut().poll(&mut Context::from_waker(Waker::noop())).is_pending());
         let mut replies = StdVec::new();
@@ -91,6 +102,25 @@ fn the_path_is_known_as_soon_as_the_segment_answers_and_lost_when_it_stays_silen
     assert_eq!(news.len(), 2, "{news:?}");
     assert!(news[0].0 < 500 && news[0].1 == Some(expected), "{news:?}");
     assert!(news[1].1.is_none() && news[1].0 < 75_000, "{news:?}");
+}
+
+#[test]
+fn other_settings_end_the_path_at_once_and_lead_to_another_one() {
+    let other = Ipv4Addr::new(192, 168, 7, 33);
+    let elsewhere = NetworkSettings {
+        segment: other,
+        ..settings()
+    };
+    let changes = [(0, Some(settings())), (1_000, None), (1_500, Some(elsewhere))];
+    let news = run_with(&changes, 2_500, |_, frame| {
+        arp_reply(frame, SEGMENT).or_else(|| arp_reply(frame, other))
+    });
+    let destinations: StdVec<_> = news
+        .iter()
+        .map(|(_, path)| path.as_ref().map(|path| path.destination))
+        .collect();
+    assert_eq!(destinations, [Some(SEGMENT), None, Some(other)], "{news:?}");
+    assert!(news[1].0 < 1_010 && news[2].0 < 2_000, "{news:?}");
 }
 
 #[test]

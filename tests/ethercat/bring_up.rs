@@ -3,6 +3,7 @@
 use crate::rig::{idle_rig, rig};
 use etherpen::control::robot_axes::{AxisCommand, Demand};
 use etherpen::drives::cia402::{DriveState, DriveTarget};
+use etherpen::drives::io::IoGroup;
 use etherpen::ethercat::cyclic::{ExchangeKind, Ignored};
 use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::supervisor::BusEvent;
@@ -17,6 +18,14 @@ fn four_drives_reach_op_enable_and_follow_their_demands() {
 #[test]
 fn four_drives_do_the_same_when_inputs_and_outputs_are_exchanged_together() {
     turn_as_told(ExchangeKind::Combined);
+}
+
+#[test]
+fn a_plan_is_adopted_once_and_not_in_every_cycle() {
+    let mut rig = rig("");
+    rig.operational();
+    rig.run_ms(20);
+    assert!(!rig.group.renew());
 }
 
 fn turn_as_told(exchange: ExchangeKind) {

@@ -162,6 +162,20 @@ fn a_slave_left_in_preop_is_left_alone_until_it_is_asked_up_again_or_the_bus_is_
 }
 
 #[test]
+fn a_slave_that_is_asked_out_of_op_and_back_is_no_disturbance() {
+    let mut rig = rig("");
+    rig.operational();
+    rig.run_ms(20);
+    let before = rig.counters().working_counter_errors;
+    for state in [AlState::PreOperational, AlState::Operational] {
+        let answer = rig.ask_while(set_state(1, state), &[0, 2, 3]);
+        assert_eq!(answer, Ok(ServiceReply::State(in_state(state))));
+        rig.run_ms(20);
+    }
+    assert_eq!(rig.counters().working_counter_errors, before);
+}
+
+#[test]
 fn a_slave_without_an_axis_gets_process_data_with_which_it_stays_in_op() {
     let mut rig = idle_rig("");
     for target in [AlState::Operational, AlState::PreOperational, AlState::Operational] {

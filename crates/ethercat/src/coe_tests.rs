@@ -74,6 +74,8 @@ struct Slave {
     waiting: VecDeque<Vec<u8>>,
     /// Answers to messages beyond the script; `None` makes such a message a failure.
     anything: Option<Vec<Vec<u8>>>,
+    /// Whether the mailbox for requests is full and stays so.
+    is_stuck: bool,
 }
 
 impl Slave {
@@ -95,7 +97,9 @@ impl Slave {
 
     fn message(&mut self, mut request: Request<MESSAGE>) -> Reply<MESSAGE> {
         assert_eq!(request.data.len(), usize::from(WINDOW));
+        let mut working_counter = 1;
         match (request.command, request.address.register()) {
+            (Command::Fpwr, OUT) if self.is_stuck => working_counter = 0,
             (Command::Fpwr, OUT) => {
                 let sent = service_data(&request.data).unwrap();
                 match (self.script.pop_front(), &mut self.anything) {
@@ -114,7 +118,7 @@ impl Slave {
         }
         Reply {
             data: request.data,
-            outcome: Outcome::Processed { working_counter: 1 },
+            outcome: Outcome::Processed { working_counter },
         }
     }
 }
@@ -125,6 +129,7 @@ fn run<T>(script: Vec<Step>, work: impl AsyncFnOnce(&mut ObjectDictionary<'_, '_
         script: script.into(),
         waiting: VecDeque::new(),
         anything: None,
+        is_stuck: false,
     };
     run_with(slave, work)
 }
@@ -520,6 +525,7 @@ fn no_answer_however_made_panics_or_runs_for_ever() {
             script: VecDeque::new(),
             waiting: VecDeque::new(),
             anything: Some(answers),
+            is_stuck: false,
         };
         let (ended, _) = run_with(slave, async |dictionary| {
             let mut buffer = [0; 60];
@@ -531,4 +537,21 @@ fn no_answer_however_made_panics_or_runs_for_ever() {
         successes += ended;
     }
     println!("{successes} of 900 transfers went well");
+}
+
+#[test]
+fn a_slave_that_takes_no_request_is_given_up_after_a_second() {
+    let slave = Slave {
+        script: VecDeque::new(),
+        waiting: VecDeque::new(),
+        anything: None,
+        is_stuck: true,
+    };
+    let (ended, _) = run_with(slave, async |dictionary| {
+        dictionary.upload_into(OBJECT, false, &mut [0; 60]).await
+    });
+    let Err(BusError::MailboxTimeout { waited_ms }) = ended else {
+        panic!("{ended:?}");
+    };
+    assert!((1_000..1_100).contains(&waited_ms), "{waited_ms} ms");
 }

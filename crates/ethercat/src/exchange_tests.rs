@@ -239,6 +239,32 @@ fn every_request_gets_one_reply_in_order_lost_or_not() {
 }
 
 #[test]
+fn a_reply_in_which_a_request_was_changed_on_the_way_does_not_count() {
+    let (mut exchange, mut end) = exchange();
+    assert!(end.plans.enqueue(plan(false)).is_ok());
+    for register in 0..2 {
+        let request = Request::read(Command::Fprd, Address::station(0x1001, register), 2);
+        assert!(end.port.registers.requests.enqueue(request).is_ok());
+    }
+    let reply = answered(input(&mut exchange));
+    for changed_request in [1, 2] {
+        let mut changed = reply.clone();
+        each_datagram(&mut changed, |number, datagram| {
+            if number == SLAVES + changed_request {
+                datagram.set_address(Address::station(0x1002, 1));
+            }
+        });
+        assert_eq!(exchange.receive(&changed), Arrival::Ignored(Ignored::Mismatch));
+        assert!(end.port.registers.replies.dequeue().is_none());
+    }
+    assert_eq!(exchange.receive(&reply), Arrival::Input);
+    for _ in 0..2 {
+        let outcome = end.port.registers.replies.dequeue().unwrap().outcome;
+        assert_eq!(outcome, Outcome::Processed { working_counter: 1 });
+    }
+}
+
+#[test]
 fn in_operation_a_frame_carries_one_acyclic_datagram_and_none_is_lost() {
     let (mut exchange, mut end) = exchange();
     let address = |register| Address::station(0x1001, register);

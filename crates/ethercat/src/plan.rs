@@ -310,6 +310,9 @@ mod tests {
             actual: 0x1000 + 64 + 16,
         };
         assert_eq!(apart.check(0), Err(error));
+        let mut outputs_only = apart.clone();
+        outputs_only.slaves[1].input_length = 0;
+        assert_eq!(outputs_only.check(0), Ok(()), "nothing is apart");
         apart.slaves[1].output_address = u32::MAX;
         assert!(apart.check(0).is_err());
         assert!(apart.slaves[1].first_window(ExchangeKind::Combined).is_none());

@@ -275,3 +275,114 @@ pub const fn al_code_hint(code: u16) -> &'static str {
         _ => "look for the code in the slave's manual",
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::acyclic::{IN_FLIGHT_MAX, Lane, Outcome, REGISTER_BYTES_MAX, Reply};
+    use super::super::wire::{read_u16, write_bytes};
+    use super::*;
+    use core::pin::pin;
+    use core::task::{Context, Poll, Waker};
+    use heapless::spsc::Queue;
+    use std::vec::Vec;
+
+    /// A slave that drops its error flag when it is acknowledged, unless it is stubborn.
+    struct Slave {
+        status: u16,
+        stubborn: bool,
+        /// What was written to AL control.
+        written: Vec<u16>,
+    }
+
+    impl Slave {
+        fn answer(&mut self, request: &Request) -> Reply<REGISTER_BYTES_MAX> {
+            let mut data = request.data.clone();
+            match (request.command, request.address.register()) {
+                (Command::Fprd, register::AL_STATUS) => write_bytes(&mut data, 0, &self.status.to_le_bytes()),
+                (Command::Fpwr, register::AL_CONTROL) => {
+                    let wanted = read_u16(&data, 0);
+                    self.written.push(wanted);
+                    if wanted & register::AL_ERROR_BIT != 0 && !self.stubborn {
+                        self.status = wanted & register::AL_STATE_MASK;
+                    }
+                }
+                other => panic!("{other:?}"),
+            }
+            Reply {
+                data,
+                outcome: Outcome::Processed { working_counter: 1 },
+            }
+        }
+    }
+
+    /// Does something with a slave in a state; returns the result and what was written to the slave.
+    fn with_slave<T>(
+        status: u16,
+        stubborn: bool,
+        work: impl AsyncFnOnce(&mut AcyclicPort<'_, 32>) -> T,
+    ) -> (T, Vec<u16>) {
+        let mut slave = Slave {
+            status,
+            stubborn,
+            written: Vec::new(),
+        };
+        let mut requests = Queue::<Request, { IN_FLIGHT_MAX + 1 }>::new();
+        let mut replies = Queue::<Reply<REGISTER_BYTES_MAX>, { IN_FLIGHT_MAX + 1 }>::new();
+        let (mut messages, mut answers) = (Queue::<Request<32>, 2>::new(), Queue::<Reply<32>, 2>::new());
+        let (ask, mut asked) = requests.split();
+        let (mut give, given) = replies.split();
+        let message_lane = Lane::new(messages.split().0, answers.split().1);
+        let mut port = AcyclicPort::new(Lane::new(ask, given), message_lane);
+        let mut future = pin!(work(&mut port));
+        for _ in 0..2 * OPERATIONAL_TIMEOUT_MS {
+            if let Poll::Ready(result) = future.as_mut().poll(&mut Context::from_waker(Waker::noop())) {
+                return (result, slave.written);
+            }
+            while let Some(request) = asked.dequeue() {
+                assert!(give.enqueue(slave.answer(&request)).is_ok());
+            }
+        }
+        panic!("no end");
+    }
+
+    fn acknowledged(status: u16, stubborn: bool) -> (Result<AlReport, BusError>, Vec<u16>) {
+        with_slave(status, stubborn, async |port| acknowledge(port, 0x1001).await)
+    }
+
+    #[test]
+    fn an_error_is_acknowledged_in_the_state_that_it_left_and_nothing_is_written_without_one() {
+        let report = |status| Ok(AlReport { status, code: 0 });
+        assert_eq!(acknowledged(0x14, false), (report(0x04), std::vec![0x14]));
+        assert_eq!(acknowledged(0x08, false), (report(0x08), Vec::new()));
+    }
+
+    #[test]
+    fn an_error_that_stays_is_reported_with_the_state() {
+        let expected = BusError::State {
+            expected: 4,
+            actual: 0x14,
+            code: 0,
+        };
+        assert_eq!(acknowledged(0x14, true), (Err(expected), std::vec![0x14]));
+    }
+
+    #[test]
+    fn a_slave_has_three_seconds_for_a_state_and_ten_for_op() {
+        for (status, target, limit_ms) in [(1, AlState::PreOperational, 3_000), (4, AlState::Operational, 10_000)] {
+            let (result, written) = with_slave(status, false, async |port| change(port, 0x1001, target).await);
+            let Err(BusError::StateTimeout {
+                expected,
+                actual,
+                waited_ms,
+            }) = result
+            else {
+                panic!("{result:?}");
+            };
+            assert_eq!(
+                (u16::from(actual), expected, written),
+                (status, target as u8, std::vec![target as u16])
+            );
+            assert!((limit_ms..limit_ms + 20).contains(&waited_ms), "{waited_ms} ms");
+        }
+    }
+}

@@ -257,6 +257,20 @@ mod tests {
     }
 
     #[test]
+    fn a_curve_that_does_not_come_nearer_reaches_a_point_at_a_parameter_all_the_same() {
+        let (x, y) = ([1.0, 0.0, 0.0], [0.0, 1.0, 0.0]);
+        let curve = Curve::spline(&[[0.0; 3], x, scale(&x, 2.0), scale(&x, 3.0)]);
+        for (direction, point) in [
+            (y, [1.5, 0.0, 0.0]),
+            (y, [1.5, 1.0, 0.0]),
+            (scale(&x, -1.0), [1.5, 0.0, 0.0]),
+        ] {
+            assert_eq!(curve.reaches(&point, &direction), 0.0, "along {direction:?}");
+        }
+        assert!((curve.reaches(&[1.5, 0.0, 0.0], &x) - 0.5).abs() < 1.0e-6);
+    }
+
+    #[test]
     fn arc_length_adds_up() {
         let curve = Curve::blend(
             &[0.0; 3],

@@ -166,3 +166,30 @@ const LIMIT_NONE: f64 = 1.0e9;
 
 /// Slope below which the path acceleration has no effect on a joint's acceleration, rad/mm.
 const SLOPE_SMALL: f64 = 1.0e-9;
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Row of a joint with this slope, rad/mm, and bend, rad/mm2; the other joints do not move.
+    fn row(slope: f64, bend: f64) -> Row {
+        let mut row = Row::NONE;
+        (row.joints.slope[0], row.joints.bend[0]) = (slope, bend);
+        row
+    }
+
+    #[test]
+    fn the_bend_bounds_the_speed_only_where_the_slope_vanishes() {
+        let limits = Limits {
+            joint_speed_squared: [4.0; MAIN_AXES],
+            joint_acceleration: [2.0; MAIN_AXES],
+            acceleration: 1_000.0,
+            ..Limits::NONE
+        };
+        // Elsewhere the path acceleration can make up for the bend.
+        for (slope, expected) in [(0.0, 2.0 / 0.5), (0.01, 4.0 / 0.0001)] {
+            let cap = limits.cap(&row(slope, 0.5));
+            assert!((cap / expected - 1.0).abs() < 1.0e-12, "{cap} with a slope of {slope}");
+        }
+    }
+}

@@ -363,6 +363,25 @@ mod tests {
     }
 
     #[test]
+    fn placed_in_the_middle_of_a_motion_it_is_at_rest() {
+        let kinematics = Kinematics::new(&Geometry::default()).unwrap();
+        let mut interpolator = MicroInterpolator::new();
+        interpolator.configure(kinematics, 8);
+        let [a, b, c] = kinematics.angles(&[0.0, 0.0, -850.0]);
+        let pose = JointAngles([a, b, c, 0.25]);
+        interpolator.place(&pose);
+        interpolator.step(&mut There {
+            stretches: [
+                Stretch::to(0.0, 8.0, 0.0, 10_000.0),
+                Stretch::new(8.0, 8.0, 160_000.0, 0.0),
+            ],
+        });
+        assert!(!interpolator.settled());
+        interpolator.place(&pose);
+        assert!(interpolator.settled());
+    }
+
+    #[test]
     fn the_average_bounds_the_jerk_and_raises_no_acceleration() {
         let peaks = |window_ms| {
             let (_, periods) = run(window_ms);

@@ -51,3 +51,19 @@ impl Watch {
         if self.still_ms > STALL_MS { self.still_ms } else { 0 }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pause_up_to_the_limit_is_no_stall() {
+        for (still_ms, stalled_ms) in [(STALL_MS, 0), (STALL_MS + 1, STALL_MS + 1)] {
+            let watch = Watch {
+                still_ms,
+                ..Watch::new()
+            };
+            assert_eq!(watch.stalled_ms(), stalled_ms);
+        }
+    }
+}

@@ -73,6 +73,7 @@ fn steps() -> Vec<Step> {
         );
         Step::new(&format!("fuzz-{target}"), &arguments)
     }));
+    steps.push(Step::new("mutants", "run -p etherpen-mutants -- --seed 1 --count 100"));
     steps.push(Step::new(
         "certificates",
         "test --release -p etherpen-certify -- --ignored --nocapture",

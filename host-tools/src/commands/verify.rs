@@ -12,8 +12,8 @@ use std::time::Instant;
 /// Options of `etherpen verify`.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// Do what takes longer than that instead, a day in all: campaigns, fuzzing, models, Miri, certificates, advisories.
-    /// Needs the nightly toolchain with Miri, cargo-fuzz and cargo-deny
+    /// Do what takes longer than that instead, a day in all: campaigns, mutants, fuzzing, models, Miri, certificates,
+    /// advisories. Needs the nightly toolchain with Miri, cargo-fuzz and cargo-deny
     #[arg(long)]
     nightly: bool,
     /// With --nightly: only the steps whose names begin with this word

@@ -50,3 +50,19 @@ pub fn resolver_angle_rad(axis: &Axis, increments: i64, near_rad: Option<f64>) -
         None => at_mark_rad,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_axis_without_a_resolution_has_an_angle_that_is_a_number() {
+        let axis = Axis {
+            increments_per_revolution: 0,
+            ..Axis::default()
+        };
+        for near_rad in [None, Some(0.5)] {
+            assert!(resolver_angle_rad(&axis, 12_345, near_rad).is_finite());
+        }
+    }
+}

@@ -207,3 +207,15 @@ fn silent_drives_in_motion_are_stopped_and_the_fault_stays_until_it_is_cleared()
     rig.command(SamplerCommand::ClearFault);
     assert_eq!(rig.millisecond(true).fault, None);
 }
+
+#[test]
+fn reports_that_nobody_takes_are_counted() {
+    let mut rig = rig();
+    for _ in 0..40 {
+        rig.sampler.sample(&mut rig.port, 0, 0);
+        rig.sampler.bus_deadline(&mut rig.port, 300_000);
+    }
+    let kept = std::iter::from_fn(|| rig.reports.dequeue()).count();
+    assert_eq!(kept, 32, "the places of the queue");
+    assert_eq!(rig.millisecond(true).counters.reports_dropped, 8);
+}

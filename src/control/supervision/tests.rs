@@ -48,6 +48,23 @@ fn blind_motion_lasts_for_the_configured_limit_and_no_longer() {
 }
 
 #[test]
+fn gaps_that_end_in_time_do_not_add_up() {
+    let mut supervision = Supervision::new();
+    let (axes, bus) = ([Axis::default(); AXES], Bus::default());
+    let blind = Observation {
+        valid: [false; AXES],
+        al_status: None,
+        ..well()
+    };
+    for _ in 0..5 {
+        for _ in 0..bus.blind_max_ms {
+            assert_eq!(supervision.step(&axes, &bus, &blind), None);
+        }
+        assert_eq!(supervision.step(&axes, &bus, &well()), None);
+    }
+}
+
+#[test]
 fn a_lost_clock_stops_drives_that_have_power_and_no_others() {
     let fault = Fault::ClockLost {
         missing_cycles: 10,

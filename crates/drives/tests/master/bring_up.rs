@@ -55,6 +55,30 @@ fn four_drives_reach_op_with_every_setting_written() {
 }
 
 #[test]
+fn a_chain_as_long_as_the_list_of_slaves_is_taken_and_a_longer_one_refused() {
+    for slaves in [SLAVES, SLAVES + 1] {
+        run(
+            FakeSegment::drives(slaves),
+            |_| false,
+            |_, _, events| {
+                let too_many = BusError::TooManySlaves {
+                    expected: SLAVES as u16,
+                    actual: slaves as u16,
+                };
+                let is_refused =
+                    |event: &BusEvent| matches!(event, BusEvent::Refused { error, .. } if *error == too_many);
+                let is_taken = |event: &BusEvent| matches!(event, BusEvent::Found { .. });
+                match (events.iter().any(is_taken), events.iter().any(is_refused)) {
+                    (false, false) => return Next::On,
+                    ended => assert_eq!(ended, (slaves <= SLAVES, slaves > SLAVES)),
+                }
+                Next::Done
+            },
+        );
+    }
+}
+
+#[test]
 fn a_tenth_of_the_frames_lost_delays_the_bring_up_and_executes_nothing_twice() {
     run(
         FakeSegment::drives(4),

@@ -128,3 +128,19 @@ fn smallest(values: &[f64]) -> f64 {
         .iter()
         .fold(f64::INFINITY, |a, b| if b.is_nan() || *b < a { *b } else { a })
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_a_number_is_both_the_largest_and_the_smallest() {
+        assert_eq!((largest(&[1.0, 3.0, -2.0]), smallest(&[1.0, 3.0, -2.0])), (3.0, -2.0));
+        for place in 0..3 {
+            let mut values = [1.0, 3.0, -2.0];
+            values[place] = f64::NAN;
+            assert!(largest(&values[..=place]).is_nan(), "{values:?}");
+            assert!(smallest(&values[..=place]).is_nan(), "{values:?}");
+        }
+    }
+}

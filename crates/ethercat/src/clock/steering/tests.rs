@@ -182,3 +182,12 @@ fn counts_add_up_to_the_corrections() {
         }
     }
 }
+
+#[test]
+fn a_timer_that_counts_faster_than_a_nanosecond_is_corrected_as_one_that_counts_nanoseconds() {
+    let (mut fastest, mut faster) = (CountCorrection::new(1_000), CountCorrection::new(u32::MAX));
+    for correction_ns in [CORRECTION_MAX_NS, -1, -CORRECTION_MAX_NS] {
+        assert_eq!(fastest.take(correction_ns), correction_ns);
+        assert_eq!(faster.take(correction_ns), correction_ns);
+    }
+}

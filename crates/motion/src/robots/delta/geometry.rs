@@ -253,19 +253,32 @@ fn radius(
 mod tests {
     use super::*;
 
+    const TRIANGLES: Measured = Measured {
+        base_radius_mm: None,
+        base_side_mm: Some(692.820_323_027_550_9),
+        upper_arm_mm: 350.0,
+        forearm_mm: 800.0,
+        platform_radius_mm: None,
+        platform_side_mm: Some(77.942_286_340_599_48),
+        arm_azimuths_deg: None,
+        arm_range_rad: None,
+    };
+
+    #[test]
+    fn a_negative_size_is_refused_by_its_part() {
+        let mut base = TRIANGLES;
+        base.base_side_mm = Some(-1.0);
+        let mut platform = TRIANGLES;
+        platform.platform_side_mm = Some(-0.001);
+        for (part, measured) in [("base", base), ("platform", platform)] {
+            let refused = measured.geometry().err();
+            assert!(matches!(refused, Some(MeasuredError::Negative(named)) if named == part));
+        }
+    }
+
     #[test]
     fn triangles_give_the_radii() {
-        let measured = Measured {
-            base_radius_mm: None,
-            base_side_mm: Some(692.820_323_027_550_9),
-            upper_arm_mm: 350.0,
-            forearm_mm: 800.0,
-            platform_radius_mm: None,
-            platform_side_mm: Some(77.942_286_340_599_48),
-            arm_azimuths_deg: None,
-            arm_range_rad: None,
-        };
-        let geometry = measured.geometry().unwrap();
+        let geometry = TRIANGLES.geometry().unwrap();
         assert!((geometry.base_radius_mm - 200.0).abs() < 1.0e-9);
         assert!((geometry.platform_radius_mm - 45.0).abs() < 1.0e-9);
         assert_eq!(geometry.arm_azimuths_deg, [0.0, 120.0, 240.0]);
