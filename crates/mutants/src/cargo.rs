@@ -20,7 +20,7 @@ pub(crate) struct CompileError {
 pub(crate) struct Cargo<'a> {
     /// Root of the copy.
     pub copy: &'a Path,
-    /// Cargo's output folder.
+    /// Cargo's output folder: one of its own, because cargo takes files of the sources for those of the copy.
     pub target: &'a Path,
 }
 
@@ -63,20 +63,15 @@ impl Cargo<'_> {
         suites.into_iter().map(program).collect()
     }
 
-    /// Builds the program `etherpen`, for campaigns, and copies it to `program`.
+    /// Builds the program `etherpen`, for campaigns.
     ///
     /// # Errors
-    /// Cargo failed, or the file cannot be written.
-    pub(crate) fn campaign(&self, program: &Path) -> Result<(), String> {
+    /// Cargo failed.
+    pub(crate) fn etherpen(&self) -> Result<PathBuf, String> {
         let messages = self.succeed(&["build", "--release", "-p", "host-tools", "--bin", "etherpen"])?;
-        let built = messages
-            .iter()
-            .filter_map(|message| message["executable"].as_str())
-            .next_back();
-        let built = built.ok_or("cargo built no program etherpen")?;
-        // A copy: cargo's file is also that of the sources themselves.
-        std::fs::copy(built, program).map_err(|error| format!("{built}: {error}"))?;
-        Ok(())
+        let mut built = messages.iter().filter_map(|message| message["executable"].as_str());
+        let built = built.next_back().ok_or("cargo built no program etherpen")?;
+        Ok(built.into())
     }
 
     fn succeed(&self, arguments: &[&str]) -> Result<Vec<Value>, String> {

@@ -61,7 +61,7 @@ pub fn run(options: &Options) -> Result<bool, String> {
         list(&results);
     } else if is_waiting || options.only.is_some() {
         let mut copy = Copy::make(&root, &tracked, &sources, folder.join("source"))?;
-        let judges = build(&mut copy, &target, &sources, &mut results)?;
+        let judges = build(&mut copy, &folder.join("build"), &sources, &mut results)?;
         results.write(&file)?;
         judge_all(&judges, options.only, &mut results, &file)?;
     }
@@ -107,8 +107,7 @@ fn build(copy: &mut Copy, target: &Path, sources: &Sources, results: &mut Result
         results.uncompilable.extend(sites);
     }
     let tests = cargo.tests()?;
-    let etherpen = target.join("mutants/etherpen");
-    cargo.campaign(&etherpen)?;
+    let etherpen = cargo.etherpen()?;
     Ok(Judges {
         copy: folder,
         tests,

@@ -449,6 +449,44 @@ mod tests {
     }
 
     #[test]
+    fn nothing_changes_faster_over_a_displacement_than_its_bound() {
+        const STEP_MM: f64 = 0.05;
+        // For the change of the bounds themselves over the step.
+        const ROOM: f64 = 1.02;
+        let (robot, mut checked) = (robot(), 0);
+        for position in positions().step_by(7) {
+            let (here, angles) = (robot.conditioning(&position), robot.inverse(&position));
+            let (Ok(angles), true) = (angles, here.ratio.1 > 0.1) else {
+                continue;
+            };
+            let directions = [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.6, -0.64, 0.48]];
+            for direction in directions {
+                let moved = add_scaled(&position.into(), &direction, STEP_MM).into();
+                let there = robot.conditioning(&moved);
+                let Ok(angles_there) = robot.inverse(&moved) else {
+                    continue;
+                };
+                let bound = |change: f64| ROOM * STEP_MM * change;
+                for (angle, angle_there) in angles.iter().zip(angles_there) {
+                    assert!(
+                        (angle_there - angle).abs() <= bound(here.change.angle),
+                        "angle at {position:?}"
+                    );
+                }
+                let ratio = (there.ratio.1 - here.ratio.1).abs();
+                assert!(ratio <= bound(here.change.ratio), "ratio at {position:?}");
+                let determinant = (there.determinant - here.determinant).abs();
+                assert!(
+                    determinant <= bound(here.change.determinant),
+                    "determinant at {position:?}"
+                );
+                checked += 1;
+            }
+        }
+        assert!(checked > 5_000, "only {checked} displacements");
+    }
+
+    #[test]
     fn dimensions_that_do_not_form_a_robot_are_refused() {
         let refuse = |change: fn(&mut Geometry)| {
             let mut geometry = Geometry::default();
