@@ -14,7 +14,7 @@ pub(super) struct Trouble {
     pub(super) end: fn(&mut Robot),
 }
 
-/// Drive of the second arm, from 1.
+/// Drive of the second axis, from 1.
 const DRIVE: usize = 2;
 const THIRD: usize = 3;
 /// Longest duration of a fault of the feedback, ms: it is ended by hand.
@@ -114,7 +114,7 @@ pub(super) static FAULTS: [Trouble; 25] = [
     of_feedback("feedback reversed", |robot| {
         robot.inject(Fault::Resolver(DRIVE, ResolverFault::Reversed, LONG_MS));
     }),
-    of_feedback("feedback exchanged with another arm's", |robot| {
+    of_feedback("feedback exchanged with another axis's", |robot| {
         robot.inject(Fault::Exchange(DRIVE, THIRD, LONG_MS));
     }),
     of_feedback("feedback noisy, 0.004 rad at most", |robot| {

@@ -20,7 +20,7 @@ const HALF_WAY_PART: f64 = 0.45;
 pub(super) const LOW_MM_S: f64 = 20.0;
 pub(super) const FULL_MM_S: f64 = 1_000.0;
 /// Time from an order to hold or to stop to the fault, ms: the motors are braking.
-const BRAKING_MS: u32 = 12;
+const BRAKING_MS: u32 = 6;
 const HOLDING_MS: u32 = 60;
 
 /// An operating mode, and the speed of the pen in it.

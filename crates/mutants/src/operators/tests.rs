@@ -100,7 +100,7 @@ fn what_is_set_back_or_counted_stays() {
 }
 
 #[test]
-fn an_assignment_that_is_the_arm_of_a_match_is_left_out_too() {
+fn an_assignment_that_is_a_branch_of_a_match_is_left_out_too() {
     let expected = ["(if !$on { self.a = true; })"];
     assert_eq!(by(Operator::Latch, "match b { 1 => self.a = true, _ => {} }"), expected);
 }
