@@ -24,8 +24,11 @@ pub struct Distribution {
 impl Distribution {
     /// The values of two distributions that were taken with the same counter.
     fn merged(one: &Self, other: &Self) -> Self {
-        if one.bins.is_empty() || other.bins.is_empty() {
-            return if one.bins.is_empty() { other } else { one }.clone();
+        if other.bins.is_empty() {
+            return one.clone();
+        }
+        if one.bins.is_empty() {
+            return other.clone();
         }
         let mut bins: BTreeMap<u8, u32> = one.bins.iter().copied().collect();
         for (bin, count) in &other.bins {
