@@ -1,0 +1,221 @@
+//! What the operator decides from the reports that the line has carried.
+
+use super::super::episode::{Figure, Wish};
+use super::super::ink;
+use super::{Operator, Stage, test_figure};
+use etherpen::application::{Fault as Reason, Mode};
+use etherpen::link::message::PathAck;
+use etherpen::messages::Command;
+use etherpen::motion::Pen;
+use etherpen::robots::{JointAngles, Position};
+use std::sync::Arc;
+
+/// Distance of all joints from their marks within which the operator homes at the marks, rad.
+const AT_MARKS_RAD: f64 = 0.15;
+/// Longest wait for an answer, ms.
+const ANSWER_MAX_MS: u32 = 1_500;
+/// Silence after which the operator connects again, ms.
+const SILENCE_MAX_MS: u64 = 3_000;
+/// Time between two messages of a jog, ms.
+const JOG_REPEAT_MS: u32 = 20;
+/// Time without progress after which the operator gives a drawing up, ms.
+const PATIENCE_MAX_MS: u32 = 8_000;
+/// Acknowledgements without effect after which the configuration is sent again: the bus may have become another one.
+const ACKNOWLEDGED_MAX: u32 = 3;
+/// Drives that can be put in the place of another one: product code, and the name in the script of faults.
+const PRODUCTS: [(u32, &str); 2] = [(0x07D0_6014, "ax2000"), (0x0402, "cia402")];
+/// Pause between two decisions once everything is healed, ms.
+const HEALED_PATIENCE_MS: u32 = 100;
+
+impl Operator<'_> {
+    pub(super) fn say(&mut self, command: Command) {
+        self.awaited = Some((self.session.command(command), self.now_ms));
+        self.session.inquire();
+    }
+
+    /// Decides what to do from what was reported last.
+    pub(super) fn decide(&mut self) {
+        let is_free = self.stage == Stage::Free;
+        let patience_ms = if is_free {
+            self.episode.patience_ms
+        } else {
+            HEALED_PATIENCE_MS
+        };
+        self.decide_ms = self.now_ms + patience_ms.max(1);
+        if self
+            .session
+            .silence_ms(self.now_ms.into())
+            .is_some_and(|ms| ms > SILENCE_MAX_MS)
+        {
+            return self.reconnect();
+        }
+        self.session.inquire();
+        if self
+            .awaited
+            .is_some_and(|(_, since_ms)| self.now_ms < since_ms + ANSWER_MAX_MS)
+            || self.jog.is_some()
+        {
+            return;
+        }
+        let Some(status) = &self.status else { return };
+        let (mode, homed, recovering) = (status.mode, status.referenced, status.recovering);
+        let is_configured = status.config == self.config.hash();
+        if mode == Mode::Idle {
+            self.acknowledged = 0;
+        }
+        match mode {
+            _ if recovering => {}
+            Mode::Fault if self.acknowledged >= ACKNOWLEDGED_MAX => {
+                self.acknowledged = 0;
+                self.configure();
+            }
+            Mode::Fault => {
+                self.acknowledged += 1;
+                self.put_right();
+                self.say(Command::Acknowledge);
+            }
+            Mode::Startup | Mode::BusConfiguring | Mode::DrivesOff if !is_configured => self.configure(),
+            Mode::Startup | Mode::BusConfiguring | Mode::Stopping | Mode::Moving => {}
+            Mode::DrivesOff | Mode::Unreferenced if !homed => self.home(),
+            Mode::DrivesOff => self.say(Command::Enable),
+            Mode::Unreferenced => self.say(Command::Disable),
+            Mode::Idle if is_free => self.wish(),
+            Mode::Idle => self.draw_test(),
+            Mode::Drawing | Mode::Holding if self.ack.job != self.job || self.is_stuck() => self.say(Command::Cancel),
+            Mode::Holding => self.say(Command::Resume),
+            Mode::Drawing => {}
+        }
+    }
+
+    /// Puts the product back that the controller asks for: the drives may have been exchanged before it first saw them.
+    pub(super) fn put_right(&mut self) {
+        let fault = self.status.as_ref().and_then(|status| status.fault);
+        let Some(Reason::OtherProduct { slave, expected, .. }) = fault else {
+            return;
+        };
+        let product = PRODUCTS.iter().find(|(code, _)| *code == expected);
+        if let Some((_, name)) = product.filter(|_| self.stage != Stage::Free) {
+            self.inject(&format!("swap {} {name}", slave + 1));
+            self.judge.healed();
+        }
+    }
+
+    /// Whether the drawing has not advanced for long.
+    pub(super) fn is_stuck(&mut self) -> bool {
+        if self.advanced.0 != self.ack.executed {
+            self.advanced = (self.ack.executed, self.now_ms);
+        }
+        self.stage == Stage::Free && self.now_ms > self.advanced.1 + PATIENCE_MAX_MS
+    }
+
+    pub(super) fn configure(&mut self) {
+        if self
+            .configured_ms
+            .is_none_or(|since_ms| self.now_ms > since_ms + ANSWER_MAX_MS)
+        {
+            self.session.configure(self.config.clone());
+            self.configured_ms = Some(self.now_ms);
+        }
+    }
+
+    /// Homes: at the marks if the joints are there, else at the pose that the operator measures.
+    pub(super) fn home(&mut self) {
+        let angles_rad = self.world.truth().angles_rad;
+        let marks = self.config.axes.iter().map(|axis| axis.sync_angle_rad);
+        let at_marks = angles_rad
+            .iter()
+            .zip(marks)
+            .all(|(angle, mark)| (angle - mark).abs() < AT_MARKS_RAD);
+        self.say(match at_marks {
+            true => Command::Home,
+            false => Command::HomeAt {
+                pose: JointAngles(angles_rad),
+                position: None,
+            },
+        });
+    }
+
+    /// Carries out the next wish.
+    pub(super) fn wish(&mut self) {
+        let episode = self.episode;
+        let Some(wish) = episode.wishes.get(self.next_wish % episode.wishes.len().max(1)) else {
+            return;
+        };
+        self.next_wish += 1;
+        match wish {
+            Wish::Draw(index) => {
+                if let Some(figure) = episode.figures.get(*index) {
+                    self.draw(figure);
+                }
+            }
+            Wish::Move([x_mm, y_mm, z_mm]) => self.say(Command::Move {
+                position: Position {
+                    x_mm: *x_mm,
+                    y_mm: *y_mm,
+                    z_mm: *z_mm,
+                },
+            }),
+            Wish::Jog(velocity_mm_s, duration_ms) => {
+                self.jog = Some((*velocity_mm_s, self.now_ms.saturating_add(*duration_ms)));
+            }
+            Wish::Pen => {
+                let pen = if self.next_wish.is_multiple_of(2) {
+                    Pen::Up
+                } else {
+                    Pen::Down
+                };
+                self.say(Command::Pen { pen });
+            }
+            Wish::Disable => self.say(Command::Disable),
+            Wish::Override(percent) => self.say(Command::Override { percent: *percent }),
+            Wish::AtOnce(commands) => {
+                let pose = JointAngles(self.world.truth().angles_rad);
+                for command in commands {
+                    self.put_beside(match command {
+                        Command::Home => Command::HomeAt { pose, position: None },
+                        other => *other,
+                    });
+                }
+            }
+        }
+    }
+
+    pub(super) fn draw(&mut self, figure: &Figure) {
+        self.job = self.job.wrapping_add(1);
+        self.drawing = figure.path(&self.config).into();
+        self.ack = PathAck::default();
+        self.advanced = (0, self.now_ms);
+        self.judge.orders(self.job, &self.drawing);
+        self.say(Command::Draw { job: self.job });
+        self.session.start_path(self.job, Arc::clone(&self.drawing));
+    }
+
+    /// Draws the test figure, again if it was not drawn to its end, at full speed.
+    pub(super) fn draw_test(&mut self) {
+        let since_ms = match self.stage {
+            Stage::Healed { since_ms } | Stage::Testing { since_ms, .. } => since_ms,
+            _ => return,
+        };
+        if self
+            .status
+            .as_ref()
+            .is_some_and(|status| status.override_percent != 100)
+        {
+            return self.say(Command::Override { percent: 100 });
+        }
+        let inked = self.world.look(|cell, _| ink::points(cell.ink()));
+        self.stage = Stage::Testing { since_ms, inked };
+        self.draw(&test_figure());
+    }
+
+    pub(super) fn repeat_jog(&mut self) {
+        let Some((velocity_mm_s, until_ms)) = self.jog else {
+            return;
+        };
+        if self.now_ms >= until_ms || !matches!(self.mode(), Mode::Idle | Mode::Moving) {
+            self.jog = None;
+        } else if self.now_ms.is_multiple_of(JOG_REPEAT_MS) {
+            self.session.command(Command::Jog { velocity_mm_s });
+        }
+    }
+}

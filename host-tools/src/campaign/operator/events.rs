@@ -1,0 +1,116 @@
+//! What happens to the operator and the machine: events at their times, commands beside the session, and the healing.
+
+use super::super::episode::{Event, What};
+use super::{Board, FIRST_BESIDE, Operator};
+use crate::cell::Fault;
+use etherpen::ethercat::diagnostics::ServiceRequest;
+use etherpen::ethercat::state::AlState;
+use etherpen::link::frame::{FRAME_BYTES_MAX, decode, encode};
+use etherpen::messages::{Command, DeviceMessage, HostMessage};
+
+impl Operator<'_> {
+    /// Makes an event happen.
+    pub(super) fn happen(&mut self, event: &Event) {
+        let until = |duration_ms: u32| event.at_ms.saturating_add(duration_ms);
+        match &event.what {
+            What::Fault(words) => self.inject(words),
+            What::Frames(words, count) => {
+                if let Ok(fault) = words.parse::<Fault>() {
+                    self.world.inject_into_frames(fault, *count);
+                    self.judge.injected(fault, *count, self.now_ms);
+                }
+            }
+            What::Command(command) => drop(self.session.command(*command)),
+            What::Beside(command) => self.put_beside(*command),
+            What::State(slave, state) => {
+                let state = match state {
+                    1 => AlState::Init,
+                    2 => AlState::PreOperational,
+                    4 => AlState::SafeOperational,
+                    _ => AlState::Operational,
+                };
+                self.session.bus(ServiceRequest::SetState { slave: *slave, state });
+            }
+            What::Reconnect => self.reconnect(),
+            What::Unplug(duration_ms) => {
+                self.up.unplug(until(*duration_ms));
+                self.down.unplug(until(*duration_ms));
+                self.judge.unplugged(until(*duration_ms));
+            }
+            What::Noise(duration_ms, per_mille) => {
+                self.up.disturb(until(*duration_ms), *per_mille);
+                self.down.disturb(until(*duration_ms), *per_mille);
+            }
+            What::StopInput(duration_ms) => self.board.stop_until_ms = until(*duration_ms),
+            What::SubstituteClock(duration_ms) => self.board.substitute_until_ms = until(*duration_ms),
+            What::TrajectoryWaits(duration_ms) => {
+                self.board.trajectory_until_ms = until(*duration_ms);
+                self.judge.disturbed(self.now_ms, Some((*duration_ms).into()));
+            }
+            What::PortDown(duration_ms) => {
+                self.board.port_until_ms = until(*duration_ms);
+                self.judge.disturbed(self.now_ms, Some((*duration_ms).into()));
+            }
+        }
+    }
+
+    /// Injects a fault of the segment's script; [`Episode::parse`] has read its words before.
+    pub(super) fn inject(&mut self, words: &str) {
+        let Ok(fault) = words.parse::<Fault>() else { return };
+        if let Fault::Swap(slave, _) = fault {
+            self.swapped.push(slave);
+        }
+        self.world.inject(fault);
+        self.judge.injected(fault, 1, self.now_ms);
+    }
+
+    /// Sends a command beside the session, which sends one after the other.
+    pub(super) fn put_beside(&mut self, command: Command) {
+        self.beside = self.beside.wrapping_add(1).max(FIRST_BESIDE);
+        let id = self.beside;
+        let mut frame = [0; FRAME_BYTES_MAX];
+        if let Ok(length) = encode(&HostMessage::Command { id, command }, &mut frame) {
+            self.at_once.extend(frame.iter().take(length));
+            self.unanswered.push((id, command));
+        }
+    }
+
+    /// Hears the answers to commands beside the session.
+    pub(super) fn hear_beside(&mut self, heard: &[u8]) {
+        if self.unanswered.is_empty() {
+            return;
+        }
+        for byte in heard {
+            let Some(Ok(payload)) = self.decoder.push(*byte) else {
+                continue;
+            };
+            let Ok(DeviceMessage::Answer { id, result }) = decode::<DeviceMessage>(payload) else {
+                continue;
+            };
+            if let Some(index) = self.unanswered.iter().position(|(asked, _)| *asked == id) {
+                let (_, command) = self.unanswered.swap_remove(index);
+                self.judge.answered(&command, result.is_ok());
+            }
+        }
+    }
+
+    /// Ends all faults: what was cut, removed, exchanged or damaged is restored.
+    pub(super) fn heal(&mut self) {
+        self.board = Board::default();
+        self.up.heal();
+        self.down.heal();
+        self.world.spare_frames();
+        self.inject("join");
+        let drives = self.config.axes.len();
+        for slave in 1..=drives {
+            self.inject(&format!("insert {slave}"));
+            self.inject(&format!("sii {slave} whole"));
+            self.inject(&format!("stuck {slave} 0"));
+        }
+        for slave in std::mem::take(&mut self.swapped) {
+            self.inject(&format!("swap {slave} ax2000"));
+        }
+        self.judge.healed();
+        (self.jog, self.job) = (None, self.job.wrapping_add(1));
+    }
+}

@@ -1,0 +1,342 @@
+//! The operator of an episode: events at their times, decisions from what the controller reports, and the healing.
+//!
+//! The operator sees what a person at the console sees: the reports that the line has carried. Only the robot's pose is
+//! taken from the cell, as a person would measure it. When the episode's time is over, everything is healed; then the
+//! robot has to come back and draw [`test_figure`].
+
+mod decisions;
+mod events;
+
+use super::chance::Chance;
+use super::counted;
+use super::episode::{Episode, Figure};
+use super::ink;
+use super::judge::{Judge, ink_limit_mm};
+use super::line::Line;
+use super::world::World;
+use super::{Failure, Rule};
+use crate::link::session::{Event as LinkEvent, Session};
+use crate::simulation::{Host, Surroundings};
+use etherpen::application::Mode;
+use etherpen::board::PortState;
+use etherpen::config::Config;
+use etherpen::link::frame::Decoder;
+use etherpen::link::message::PathAck;
+use etherpen::messages::{Command, PathVertex, Status};
+use std::sync::Arc;
+
+/// Longest time from the healing to the end of the test drawing, without the drawing itself, ms.
+const LIVENESS_MAX_MS: u32 = 60_000;
+/// Longest time from the order to switch off until all drives are without power, ms.
+const OFF_MAX_MS: u32 = 3_000;
+/// First number of commands beside the session, far from its own.
+const FIRST_BESIDE: u16 = 0x8000;
+
+/// What the operator is about.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Stage {
+    /// Events happen; the operator works.
+    Free,
+    /// Everything is healed; the test drawing has to come.
+    Healed { since_ms: u32 },
+    /// The test drawing is being drawn; it began with so much ink.
+    Testing { since_ms: u32, inked: usize },
+    /// It is drawn; the power has to go off.
+    Ending { since_ms: u32 },
+    /// Over.
+    Over,
+}
+
+/// Conditions of the board that end at a time, ms.
+#[derive(Clone, Copy, Debug, Default)]
+struct Board {
+    stop_until_ms: u32,
+    substitute_until_ms: u32,
+    trajectory_until_ms: u32,
+    port_until_ms: u32,
+}
+
+/// The operator.
+pub(super) struct Operator<'e> {
+    episode: &'e Episode,
+    config: Config,
+    world: World,
+    judge: Judge,
+    session: Session,
+    connections: u32,
+    up: Line,
+    down: Line,
+    board: Board,
+    now_ms: u32,
+    stage: Stage,
+    next_event: usize,
+    next_wish: usize,
+    decide_ms: u32,
+    awaited: Option<(u16, u32)>,
+    configured_ms: Option<u32>,
+    /// Acknowledgements since the robot was last ready.
+    acknowledged: u32,
+    beside: u16,
+    at_once: Vec<u8>,
+    /// Commands beside the session that are not answered, and what reads their answers.
+    unanswered: Vec<(u16, Command)>,
+    decoder: Box<Decoder>,
+    jog: Option<([f32; 3], u32)>,
+    job: u16,
+    drawing: Arc<[PathVertex]>,
+    status: Option<Status>,
+    ack: PathAck,
+    /// Executed vertices when the drawing last advanced, and the time.
+    advanced: (u32, u32),
+    swapped: Vec<usize>,
+    failure: Option<Failure>,
+}
+
+/// The drawing with which a healed machine has to show that it draws.
+pub(super) fn test_figure() -> Figure {
+    let zigzag = |y_um: i32| {
+        let points = (0..6).map(|leg| [if leg % 2 == 0 { -6_000 } else { 6_000 }, y_um + 1_500 * leg]);
+        points.collect()
+    };
+    Figure(vec![zigzag(-9_000), zigzag(3_000)])
+}
+
+impl<'e> Operator<'e> {
+    pub(super) fn new(episode: &'e Episode, config: Config, world: World) -> Self {
+        let judge = Judge::new(&config);
+        let mut operator = Self {
+            episode,
+            judge,
+            world,
+            session: Session::new(1),
+            connections: 0,
+            up: Line::new(episode.seed),
+            down: Line::new(!episode.seed),
+            board: Board::default(),
+            now_ms: 0,
+            stage: Stage::Free,
+            next_event: 0,
+            next_wish: 0,
+            decide_ms: 0,
+            awaited: None,
+            configured_ms: None,
+            acknowledged: 0,
+            beside: FIRST_BESIDE,
+            at_once: Vec::new(),
+            unanswered: Vec::new(),
+            decoder: Box::default(),
+            jog: None,
+            job: 0,
+            drawing: Arc::default(),
+            status: None,
+            ack: PathAck::default(),
+            advanced: (0, 0),
+            swapped: Vec::new(),
+            failure: None,
+            config,
+        };
+        operator.reconnect();
+        operator
+    }
+
+    /// What the episode has found.
+    pub(super) fn into_failure(self) -> Option<Failure> {
+        self.failure
+    }
+
+    /// The drawing that was reported last as executed to its end.
+    #[cfg(test)]
+    pub(super) fn finished(&self) -> Option<u16> {
+        self.judge.finished()
+    }
+
+    fn fail(&mut self, rule: Rule, text: String) {
+        self.failure.get_or_insert(Failure {
+            time_ms: self.now_ms,
+            rule,
+            text,
+        });
+        self.stage = Stage::Over;
+    }
+
+    fn reconnect(&mut self) {
+        self.connections += 1;
+        // The number only has to differ from the last one's.
+        self.session = Session::new(Chance::new(self.episode.seed ^ u64::from(self.connections)).below(1 << 31) as u32);
+        self.session.connect();
+        self.judge.reconnected();
+        (self.awaited, self.configured_ms, self.jog) = (None, None, None);
+        self.unanswered.clear();
+    }
+
+    fn mode(&self) -> Mode {
+        self.status.as_ref().map_or(Mode::Startup, |status| status.mode)
+    }
+
+    /// Moves on to the next stage when the present one is over or has taken too long.
+    fn advance(&mut self) {
+        let now_ms = self.now_ms;
+        match self.stage {
+            Stage::Free if now_ms >= self.episode.duration_ms => {
+                self.heal();
+                self.stage = match self.episode.draws {
+                    true => Stage::Healed { since_ms: now_ms },
+                    false => Stage::Over,
+                };
+            }
+            Stage::Healed { since_ms } | Stage::Testing { since_ms, .. }
+                if now_ms > since_ms + LIVENESS_MAX_MS + self.drawing_max_ms() =>
+            {
+                let text = format!("healed, and no drawing came: {:?}", self.status);
+                self.fail(Rule::Liveness, text);
+            }
+            Stage::Testing { inked, .. } if self.has_drawn() => {
+                let limit_mm = ink_limit_mm(&self.config);
+                let (paper, path) = (self.config.paper, Arc::clone(&self.drawing));
+                let verdict = self
+                    .world
+                    .look(|cell, _| ink::compare(cell.ink(), inked, &path, &paper, limit_mm));
+                match verdict {
+                    Ok(()) => {
+                        self.say(Command::Disable);
+                        self.stage = Stage::Ending { since_ms: now_ms };
+                    }
+                    Err(text) => self.fail(Rule::Ink, format!("the test drawing: {text}")),
+                }
+            }
+            Stage::Ending { since_ms } => {
+                let has_power = self.world.truth().has_power.contains(&true);
+                match (has_power, now_ms > since_ms + OFF_MAX_MS) {
+                    (false, _) => {
+                        self.stage = Stage::Over;
+                        self.end();
+                    }
+                    (true, true) => self.fail(Rule::Power, format!("the power stays on: {:?}", self.status)),
+                    (true, false) => {}
+                }
+            }
+            _ => {}
+        }
+    }
+
+    /// Judges what can only be judged at the end.
+    fn end(&mut self) {
+        let counts = {
+            let (episode, config) = (self.episode, &self.config);
+            self.world
+                .look(|cell, _| counted::expected(episode, config, cell.injected()))
+        };
+        for (name, count) in counts.into_iter().flatten() {
+            self.judge.expect(name, count);
+        }
+        if let Err((rule, text)) = self.judge.end() {
+            self.fail(rule, text);
+        }
+    }
+
+    /// Time that the test drawing may take, ms.
+    fn drawing_max_ms(&self) -> u32 {
+        let motion = &self.config.motion;
+        let mm = 300.0;
+        let slowest_mm_s = motion.speed_mm_s.min(motion.travel_speed_mm_s);
+        let strokes_ms = 4.0 * f64::from(motion.pen_dwell_ms);
+        (3_000.0 * mm / slowest_mm_s + strokes_ms) as u32
+    }
+
+    fn has_drawn(&self) -> bool {
+        self.ack.finished && self.ack.job == self.job && self.mode() == Mode::Idle
+    }
+
+    fn take(&mut self, event: LinkEvent) {
+        match event {
+            LinkEvent::Answered { id, command, result } => {
+                self.awaited.take_if(|(awaited, _)| *awaited == id);
+                self.judge.answered(&command, result.is_ok());
+            }
+            LinkEvent::Ack(ack) => {
+                if ack.finished && ack.job == self.job {
+                    self.judge.drawn(ack.job);
+                }
+                self.ack = ack;
+            }
+            LinkEvent::VertexRefused(refusal) => self.judge.refused_vertex(self.job, refusal.index),
+            LinkEvent::Status(status) => {
+                self.judge.reported(&status);
+                self.status = Some(status);
+            }
+            LinkEvent::Restarted => self.reconnect(),
+            LinkEvent::VersionRefused { .. } => self.fail(Rule::Panic, "the versions differ".to_owned()),
+            LinkEvent::Connected(_)
+            | LinkEvent::Configured(_)
+            | LinkEvent::Samples { .. }
+            | LinkEvent::Bus(_)
+            | LinkEvent::Measured(_) => {}
+        }
+    }
+
+    /// Takes what the firmware sent, decides, and says what is due.
+    fn converse(&mut self, from_firmware: &[u8], to_firmware: &mut Vec<u8>, room: usize) {
+        let mut heard = from_firmware.to_vec();
+        self.up.carry(self.now_ms, &mut heard);
+        self.hear_beside(&heard);
+        self.session.receive(&heard, self.now_ms.into());
+        while let Some(event) = self.session.next_event() {
+            self.take(event);
+        }
+        self.advance();
+        if self.now_ms >= self.decide_ms && !matches!(self.stage, Stage::Ending { .. } | Stage::Over) {
+            self.decide();
+        }
+        self.repeat_jog();
+        to_firmware.resize(room, 0);
+        let length = self.session.transmit(self.now_ms.into(), to_firmware);
+        to_firmware.truncate(length);
+        // Not in the middle of a frame of the session's.
+        if length == 0 {
+            let taken = self.at_once.len().min(room);
+            to_firmware.extend(self.at_once.drain(..taken));
+        }
+        self.down.carry(self.now_ms, to_firmware);
+        self.judge.delivered(to_firmware);
+    }
+}
+
+impl Host for Operator<'_> {
+    fn exchange(&mut self, ms: u32, from_firmware: &[u8], to_firmware: &mut Vec<u8>, room: usize) {
+        self.now_ms = ms;
+        let episode = self.episode;
+        while let Some(event) = episode.events.get(self.next_event).filter(|event| event.at_ms <= ms) {
+            self.next_event += 1;
+            if self.stage == Stage::Free {
+                self.happen(event);
+            }
+        }
+        let stop_open = ms < self.board.stop_until_ms;
+        let verdict = {
+            let (world, judge) = (&self.world, &mut self.judge);
+            world.look(|cell, frames| judge.moment(ms, &cell.truth(), frames, stop_open))
+        };
+        if let Err((rule, text)) = verdict {
+            self.fail(rule, text);
+        }
+        self.converse(from_firmware, to_firmware, room);
+    }
+
+    fn surroundings(&mut self) -> Surroundings {
+        let now_ms = self.now_ms;
+        let mut around = Surroundings {
+            stop_shows_open: now_ms < self.board.stop_until_ms,
+            substitute_clock: now_ms < self.board.substitute_until_ms,
+            trajectory_waits: now_ms < self.board.trajectory_until_ms,
+            ..Surroundings::default()
+        };
+        if now_ms < self.board.port_until_ms {
+            around.board.port = PortState::Down;
+        }
+        around
+    }
+
+    fn is_over(&self) -> bool {
+        self.stage == Stage::Over
+    }
+}
