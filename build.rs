@@ -33,8 +33,8 @@ const BOARDS: [Board; 2] = [
 ];
 
 /// Code of the critical path in ITCM; its data, and the log's memory, which a debug probe reads past the caches, in DTCM;
-/// other statics in AXI SRAM; what the Ethernet DMA touches in SRAM3, which it reaches and `src/bin/stm32h7/memory.rs` makes
-/// non-cacheable. The stack has the lower part of DTCM for itself: an overflow then leaves the memory and faults instead of
+/// other statics in AXI SRAM; what the Ethernet DMA touches in SRAM3, which it reaches, and the black box in SRAM1 and
+/// SRAM2: `src/bin/stm32h7/memory.rs` makes all three non-cacheable. The stack has the lower part of DTCM for itself: an overflow then leaves the memory and faults instead of
 /// overwriting.
 ///
 /// `src/bin/stm32h7/tightly_coupled.rs` fills all tightly coupled sections. `src/bin/nucleo/itcm.x` lists the functions that a
@@ -82,6 +82,10 @@ SECTIONS
     *(.eth_dma .eth_dma.*);
     . = ALIGN(32);
   } > H743_SRAM3
+  .black_box (NOLOAD) : ALIGN(32)
+  {
+    *(.black_box);
+  } > H743_SRAM1_2
 } INSERT AFTER .uninit;
 ";
 

@@ -1,13 +1,15 @@
-//! The controller as a board sees it: seven task bodies and the lock-free channels between them.
+//! The controller as a board sees it: eight task bodies and the lock-free channels between them.
 //!
 //! A board owns one [`Channels`], splits it once and gives each part to the task of the same name: `sampler` to the
-//! three critical tasks, `trajectory` to the 12 ms task, `host_bytes` to the task that moves the link's bytes,
+//! three critical tasks, `recorder` to the task that fills the black box, `trajectory` to the 12 ms task, `host_bytes`
+//! to the task that moves the link's bytes,
 //! `usb_bytes` to the task that moves the link's bytes on the board's own USB, `link` to the low-priority task that
 //! runs the protocol and the coordinator, `network` to the task that runs the IP stack, `supervisor` to the task
 //! that brings up and watches the bus. A simulation calls these parts in the same order in virtual time.
 //!
 //! Architecture invariant: priorities communicate only through these channels; no part waits for another.
 
+use crate::black_box::{EventLog, Memory, Recorder};
 use crate::control::sampler::{CycleReport, Queued, Sampler, SamplerCommand};
 use crate::coordinator::CoordinatorEnds;
 use crate::link::frame::Decoder;
@@ -21,6 +23,8 @@ use heapless::spsc::{Consumer, Producer, Queue};
 
 /// Setpoints between the trajectory task and the sampler: the period being read, the next one, and a spare.
 pub const SETPOINTS: usize = 40;
+/// Cycle reports queued for the recorder, which only the critical tasks and the link's bytes delay.
+pub const NEW_REPORTS: usize = 5;
 /// Cycle reports queued for the link task: one for each millisecond that the trajectory task may delay the link task.
 pub const REPORTS: usize = 33;
 /// Vertices queued between the coordinator and the trajectory task.
@@ -43,6 +47,7 @@ const _: () = assert!(SENT_BYTES > SENT_AHEAD_BYTES && USB_SENT_BYTES > SENT_AHE
 pub struct Channels {
     trajectory: Trajectory,
     setpoints: Queue<Queued, SETPOINTS>,
+    new_reports: Queue<CycleReport, NEW_REPORTS>,
     reports: Queue<CycleReport, REPORTS>,
     sampler_commands: Queue<SamplerCommand, 17>,
     vertices: Queue<PathItem, VERTICES>,
@@ -63,6 +68,8 @@ pub struct Channels {
 pub struct Parts<'a> {
     /// For the three critical tasks.
     pub sampler: Sampler<'a>,
+    /// For the task that fills the black box and hands the reports on.
+    pub recorder: Recorder<'a>,
     /// For the 12 ms task.
     pub trajectory: TrajectoryTask<'a>,
     /// For the task that moves the link's bytes.
@@ -91,6 +98,7 @@ impl Channels {
         Self {
             trajectory: Trajectory::unconfigured(),
             setpoints: Queue::new(),
+            new_reports: Queue::new(),
             reports: Queue::new(),
             sampler_commands: Queue::new(),
             vertices: Queue::new(),
@@ -108,9 +116,11 @@ impl Channels {
         }
     }
 
-    /// Makes the task bodies; `board` is the name the firmware reports to the host.
-    pub fn split(&mut self, board: &'static str) -> Parts<'_> {
+    /// Makes the task bodies; `board` is the name the firmware reports to the host, `black_box` the memory that
+    /// survives a reset, started.
+    pub fn split<'a>(&'a mut self, board: &'static str, black_box: &'a Memory) -> Parts<'a> {
         let (setpoints_in, setpoints_out) = self.setpoints.split();
+        let (new_reports_in, new_reports_out) = self.new_reports.split();
         let (reports_in, reports_out) = self.reports.split();
         let (sampler_commands_in, sampler_commands_out) = self.sampler_commands.split();
         let (vertices_in, vertices_out) = self.vertices.split();
@@ -125,7 +135,8 @@ impl Channels {
         let measurements = &self.measurements;
         let group = RobotGroup::new(RobotExchange::new(exchange_end, MASTER_ADDRESS));
         Parts {
-            sampler: Sampler::new(group, network_end, sampler_commands_out, setpoints_out, reports_in),
+            sampler: Sampler::new(group, network_end, sampler_commands_out, setpoints_out, new_reports_in),
+            recorder: Recorder::new(black_box, new_reports_out, reports_in),
             trajectory: TrajectoryTask::new(
                 &mut self.trajectory,
                 orders_out,
@@ -167,6 +178,7 @@ impl Channels {
                     network: network_settings,
                     measurements,
                 },
+                EventLog::new(black_box),
             ),
             network,
             supervisor: RobotSupervisor::new(supervisor_end),
@@ -229,7 +241,7 @@ mod tests {
     #[test]
     fn received_bytes_that_find_no_room_are_counted_and_those_before_them_are_kept() {
         let channels = Box::leak(Box::new(Channels::new()));
-        let mut parts = channels.split("test");
+        let mut parts = channels.split("test", Box::leak(Box::new(Memory::new())));
         let chunk = [0x55; 100];
         let mut taken = 0;
         for _ in 0..50 {

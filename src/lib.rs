@@ -8,7 +8,7 @@
 //! # Bird's eye view
 //!
 //! The library contains everything that does not depend on a board. [`controller::Channels`] holds the lock-free queues
-//! and splits into seven parts. A board (`src/bin/nucleo.rs`, `src/bin/emulated.rs`) gives each part a priority and the
+//! and splits into eight parts. A board (`src/bin/nucleo.rs`, `src/bin/emulated.rs`) gives each part a priority and the
 //! interrupts that release it; the host's simulation calls the parts in the same order in virtual time (`docs/tasks.md`
 //! lists every task of both boards):
 //!
@@ -16,6 +16,7 @@
 //! |---|---|---|---|
 //! | [`control::sampler::Sampler`] | timer, Ethernet, deadline | 15 | input telegram, control, output telegram |
 //! | [`controller::HostBytes`] | serial line, every millisecond | 10 | the link's bytes in and out |
+//! | [`black_box::Recorder`] | every millisecond | 8 | records the millisecond in memory that survives a reset |
 //! | [`trajectory_task::TrajectoryTask`] | every 12th sample | 6 | plans, fills the ring of 1 ms setpoints |
 //! | [`controller::HostBytes`], a second one | USB, every millisecond | 3 | the link's bytes on a board's own USB port |
 //! | [`link_task::LinkTask`] | every millisecond | 3 | the link's messages; owns the [`coordinator::Coordinator`], which decides modes, admission and configuration |
@@ -39,10 +40,11 @@
 //! 8. `application::command`, `application::condition`, `application::action`: what the operating modes take and give
 //! 9. `control`: the sampler and its supervision
 //! 10. `application`, `trajectory_task`, `measurement`: operating modes; the 12 ms task; timing of the tasks
-//! 11. `messages`: what the messages between host and firmware contain
-//! 12. `coordinator`: decides what the robot does with requests and reports
-//! 13. `link_task`: moves the messages
-//! 14. `controller`: all task bodies and the queues between them
+//! 11. `black_box`: the last two seconds before a reset
+//! 12. `messages`: what the messages between host and firmware contain
+//! 13. `coordinator`: decides what the robot does with requests and reports
+//! 14. `link_task`: moves the messages
+//! 15. `controller`: all task bodies and the queues between them
 //!
 //! Logic of Ethernet controllers (`ethernet`) and the IP stack (`network`) are here and not in the master's crate: the
 //! master takes any driver and knows no addresses. `board` is here because boards report faults and show modes; the
@@ -78,6 +80,7 @@
 extern crate std;
 
 pub mod application;
+pub mod black_box;
 pub mod board;
 pub mod config;
 pub mod control;

@@ -5,12 +5,13 @@
 //! queues hold what arrives meanwhile.
 
 use crate::application::{Fault, Mode};
+use crate::black_box::{Event, EventLog};
 use crate::board::{BoardState, PreviousRun};
 use crate::coordinator::{Coordinator, CoordinatorEnds, LinkLosses};
 use crate::link::device::{Identity, LINE_BYTES_PER_MS};
 use crate::link::frame::Decoder;
 use crate::link::ports::LinkPort;
-use crate::messages::{DeviceEndpoint, DeviceEvent};
+use crate::messages::{DeviceEndpoint, DeviceEvent, RecordAnswer, RecordRequest};
 use heapless::spsc::{Consumer, Producer};
 
 /// Bytes queued ahead for the line; few, so that an answer does not queue behind telemetry.
@@ -43,19 +44,21 @@ impl<'a> Ports<'a> {
     }
 }
 
-/// The link task; owns the coordinator.
+/// The link task; owns the coordinator and records events in the black box.
 pub struct LinkTask<'a> {
     ports: Ports<'a>,
+    events: EventLog<'a>,
     endpoint: DeviceEndpoint,
     coordinator: Coordinator<'a>,
 }
 
 impl<'a> LinkTask<'a> {
     /// A link task without a host; `board` is at most 16 bytes.
-    pub fn new(board: &'static str, ports: Ports<'a>, ends: CoordinatorEnds<'a>) -> Self {
+    pub fn new(board: &'static str, ports: Ports<'a>, ends: CoordinatorEnds<'a>, events: EventLog<'a>) -> Self {
         let capacity = u16::try_from(ends.vertices.capacity()).unwrap_or(u16::MAX);
         Self {
             ports,
+            events,
             endpoint: DeviceEndpoint::new(Identity {
                 firmware: env!("CARGO_PKG_VERSION"),
                 board,
@@ -95,6 +98,9 @@ impl<'a> LinkTask<'a> {
         let silence_ms = silence_ms.and_then(|silence_ms| u32::try_from(silence_ms).ok());
         self.coordinator.step(silence_ms.unwrap_or(u32::MAX));
         self.close_abandoned_path();
+        let coordinator = &self.coordinator;
+        self.events
+            .watch(coordinator.now_ms(), coordinator.mode(), coordinator.fault());
         self.send();
     }
 
@@ -132,15 +138,27 @@ impl<'a> LinkTask<'a> {
     /// Hands a request to the coordinator, and its answer to the endpoint.
     fn pass_on(&mut self, event: DeviceEvent) {
         let (coordinator, endpoint) = (&mut self.coordinator, &mut self.endpoint);
+        let now_ms = coordinator.now_ms();
         match event {
             DeviceEvent::Connected => {
+                self.events.put(now_ms, &Event::Connected);
                 coordinator.forget_bus_request();
                 endpoint.status(coordinator.status());
             }
             DeviceEvent::Inquire => endpoint.status(coordinator.status()),
-            DeviceEvent::Configure { id, config } => endpoint.configured(id, coordinator.configure(&config)),
+            DeviceEvent::Configure { id, config } => {
+                let result = coordinator.configure(&config);
+                if let Ok(hash) = result {
+                    self.events.put(now_ms, &Event::Configured { hash });
+                }
+                endpoint.configured(id, result);
+            }
             DeviceEvent::Command { id, command } => {
+                self.events.command(now_ms, command);
                 let result = coordinator.command(command);
+                if let Err(refusal) = result {
+                    self.events.put(now_ms, &Event::Refused(refusal));
+                }
                 self.close_abandoned_path();
                 self.endpoint.answer(id, result);
             }
@@ -154,7 +172,13 @@ impl<'a> LinkTask<'a> {
                     endpoint.bus_answered(id, Err(error));
                 }
             }
-            DeviceEvent::Measure { id, request } => endpoint.measured(id, coordinator.measure(request)),
+            DeviceEvent::Measure { id, request } => {
+                let answer = match request {
+                    RecordRequest::Measurement(request) => RecordAnswer::Measurement(coordinator.measure(request)),
+                    RecordRequest::BlackBox(request) => RecordAnswer::BlackBox(self.events.memory().answer(request)),
+                };
+                endpoint.measured(id, answer);
+            }
         }
     }
 

@@ -6,6 +6,7 @@
 pub use crate::application::Command;
 
 use crate::application::{Fault, Mode, Refusal};
+use crate::black_box;
 use crate::board::{Interlock, PortState, PreviousRun, RunEnd};
 use crate::config::{CONFIG_BYTES_MAX, Config, ConfigError};
 use crate::ethercat::diagnostics::{ServiceRequest, ServiceResult};
@@ -18,7 +19,7 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 /// Version of this protocol; both ends must agree.
-pub const PROTOCOL_VERSION: u16 = 8;
+pub const PROTOCOL_VERSION: u16 = 9;
 /// Slaves described in a status.
 pub const SLAVES_REPORTED: usize = 8;
 
@@ -39,8 +40,8 @@ impl Protocol for RobotProtocol {
     type PreviousRun = PreviousRun;
     type BusRequest = ServiceRequest;
     type BusResult = ServiceResult;
-    type MeasurementRequest = MeasurementRequest;
-    type MeasurementAnswer = MeasurementAnswer;
+    type MeasurementRequest = RecordRequest;
+    type MeasurementAnswer = RecordAnswer;
     const NO_PREVIOUS_RUN: PreviousRun = PreviousRun {
         end: RunEnd::PowerOff,
         fault: None,
@@ -54,6 +55,37 @@ impl Protocol for RobotProtocol {
             _ => CommandEffect::None,
         }
     }
+}
+
+/// A request to what the firmware records of itself.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum RecordRequest {
+    /// To the execution times.
+    Measurement(MeasurementRequest),
+    /// To the black box.
+    BlackBox(black_box::Request),
+}
+
+impl From<MeasurementRequest> for RecordRequest {
+    fn from(request: MeasurementRequest) -> Self {
+        Self::Measurement(request)
+    }
+}
+
+impl From<black_box::Request> for RecordRequest {
+    fn from(request: black_box::Request) -> Self {
+        Self::BlackBox(request)
+    }
+}
+
+/// Answer to a [`RecordRequest`] of the same kind.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[allow(clippy::large_enum_variant)] // one is alive at a time, in static memory
+pub enum RecordAnswer {
+    /// Of the execution times.
+    Measurement(MeasurementAnswer),
+    /// Of the black box.
+    BlackBox(black_box::Answer),
 }
 
 /// Message from the host to the firmware.

@@ -11,7 +11,7 @@ use std::ops::Range;
 
 /// Most flash memory of an image, bytes.
 const FLASH_BYTES_MAX: u32 = 512 * 1024;
-/// Most static memory, bytes.
+/// Most static memory, bytes, without the black box.
 const STATIC_BYTES_MAX: u32 = 256 * 1024;
 /// Most tightly coupled data memory, stacks included, bytes.
 const DTCM_BYTES_MAX: u32 = 96 * 1024;
@@ -40,9 +40,10 @@ const LOG_STATICS: [&str; 3] = ["_SEGGER_RTT", "9defmt_rtt4NAME", "9defmt_rtt6BU
 /// What the processor pushes for an exception: 26 words with floating-point registers, and a word of alignment.
 const EXCEPTION_FRAME_BYTES: u32 = 108;
 /// Tasks of the board nucleo by priority, from the highest; those of one priority never nest.
-const NUCLEO_LEVELS: [(u8, &[&str]); 5] = [
+const NUCLEO_LEVELS: [(u8, &[&str]); 6] = [
     (15, CRITICAL),
     (10, &["USART3"]),
+    (8, &["LPTIM1"]),
     (6, &["LPTIM2"]),
     (3, &["LPTIM3", "OTG_FS"]),
     (1, &["LPTIM4", "LPTIM5"]),
@@ -91,6 +92,12 @@ fn the_image_keeps_its_budget_and_lies_where_it_must() {
     assert!(
         dma.size > 0 && dma.address == 0x3004_0000 && dma.size <= 32 * 1024,
         "SRAM3, which the Ethernet DMA reaches"
+    );
+    let black_box = image.section(".black_box").expect("the black box");
+    assert_eq!(
+        (black_box.address, black_box.size),
+        (0x3000_0000, 256 * 1024),
+        "SRAM1 and SRAM2, which no start clears and no cache covers"
     );
     assert!(image.has_double_precision());
 }

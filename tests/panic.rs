@@ -1,5 +1,9 @@
-//! A firmware that panics in motion: one last telegram stops the drives, then silence, and the cause is reported.
+//! A firmware that panics in motion: one last telegram stops the drives, then silence; the cause is reported, and the
+//! black box holds the last two seconds as they were on the wire.
 
+use etherpen::application::Mode;
+use etherpen::black_box::recording::Recording;
+use etherpen::black_box::{Direction, Event, SAMPLES};
 use etherpen::config::Config;
 use host_tools::cell::{AlState, Cell, CellOptions, DriveState};
 use host_tools::drawing::preparation::prepare::prepare;
@@ -16,6 +20,10 @@ const ACTS_WITHIN_US: u64 = 4_000;
 /// Time in which everything comes to rest.
 const STANDS_WITHIN_US: u64 = 1_000_000;
 const STILL_RAD_S: f64 = 1.0e-3;
+/// Milliseconds of which the black box has to hold the frames.
+const FRAMES_MS: u32 = 20;
+/// Most frames between the recorder's last run and the end: those of a millisecond, and the last telegram with its reply.
+const FRAMES_AFTER_MAX: usize = 6;
 
 /// The drawing job at the link, for as long as there is a firmware.
 struct Host(Job);
@@ -31,13 +39,19 @@ struct Watched {
     cell: Cell,
     last_frame_us: u64,
     frames: u32,
+    /// The frames as they were on the wire, with their direction.
+    wire: Vec<(Direction, Vec<u8>)>,
 }
 
 impl Segment for Watched {
     fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
         self.last_frame_us = time_us;
         self.frames += 1;
-        self.cell.frame(time_us, frame)
+        self.wire.push((Direction::Sent, frame.to_vec()));
+        let replies = self.cell.frame(time_us, frame);
+        self.wire
+            .extend(replies.iter().map(|reply| (Direction::Received, reply.clone())));
+        replies
     }
 
     fn advance_to(&mut self, time_us: u64) {
@@ -57,6 +71,7 @@ fn a_panic_in_motion_stops_the_drives_by_one_last_telegram_and_names_its_cause()
         cell: Cell::new(&config, CellOptions::default()),
         last_frame_us: 0,
         frames: 0,
+        wire: Vec::new(),
     }));
     let emulator = Emulator::start(
         &image,
@@ -65,19 +80,29 @@ fn a_panic_in_motion_stops_the_drives_by_one_last_telegram_and_names_its_cause()
         Host(job),
         |_: &LogLine| {},
     );
+    let image_of_the_end;
     let ended = emulator.expect("the emulator starts").wait();
     match ended {
-        Err(EmulatorError::Ended { status, said, log }) => {
+        Err(EmulatorError::Ended {
+            status,
+            said,
+            log,
+            black_box,
+        }) => {
             assert_eq!(status.code(), Some(PANICKED), "{said}");
             assert!(said.contains("this image was built to end here"), "{said}");
             assert!(
                 log.iter().any(|line| line.contains("Drawing")),
                 "modes are in the log: {log:?}"
             );
+            let path = black_box.expect("a black box");
+            image_of_the_end = std::fs::read(&path).expect("it can be read");
+            std::fs::remove_file(&path).expect("it is a file of this test");
         }
         other => panic!("the firmware was to end by a panic: {other:?}"),
     }
     let mut watched = watched.lock().expect("nobody panics with the cell");
+    check_black_box(&image_of_the_end, &watched.wire);
     let (last_us, frames) = (watched.last_frame_us, watched.frames);
     let moving_rad_s = speed_rad_s(&watched.cell);
     watched.cell.advance_to(last_us + ACTS_WITHIN_US);
@@ -89,6 +114,36 @@ fn a_panic_in_motion_stops_the_drives_by_one_last_telegram_and_names_its_cause()
     println!("{frames} frames; {moving_rad_s:.2} rad/s at the last one");
     assert!(moving_rad_s > 0.05, "it was in motion");
     assert!(speed_rad_s(&watched.cell) < STILL_RAD_S);
+}
+
+/// The last two seconds without a gap, the motion in them, and the frames as they were on the wire, up to the last
+/// millisecond.
+fn check_black_box(image: &[u8], wire: &[(Direction, Vec<u8>)]) {
+    let recording = Recording::new(image).expect("a recording");
+    let samples: Vec<_> = recording.samples().collect();
+    assert_eq!(samples.len(), SAMPLES);
+    assert!(
+        samples.is_sorted_by(|one, next| one.cycle + 1 == next.cycle),
+        "no millisecond is missing"
+    );
+    assert!(samples.last().is_some_and(|last| last.flags.following()));
+    let drawing = recording
+        .events()
+        .any(|(_, event)| event == Some(Event::Mode(Mode::Drawing)));
+    assert!(drawing, "events: {:?}", recording.events().collect::<Vec<_>>());
+    let frames: Vec<_> = recording.frames().collect();
+    let recorded: Vec<(Direction, Vec<u8>)> = frames
+        .iter()
+        .map(|frame| (frame.direction, recording.frame_bytes(frame).collect()))
+        .collect();
+    println!("{} frames in the black box", recorded.len());
+    assert_eq!(recording.frames_missed(), 0);
+    let milliseconds = frames.last().map_or(0, |last| last.cycle) - frames.first().map_or(0, |first| first.cycle);
+    assert!(milliseconds >= FRAMES_MS, "{milliseconds} ms of frames");
+    // The last ones passed after the recorder's last run.
+    let end = (wire.len() - FRAMES_AFTER_MAX..=wire.len())
+        .find(|end| wire.get(..*end).is_some_and(|wire| wire.ends_with(&recorded)));
+    assert!(end.is_some(), "the frames are those of the wire");
 }
 
 fn speed_rad_s(cell: &Cell) -> f64 {

@@ -14,7 +14,8 @@
 //! 5. `drawing::preparation`, `recording`, `settings`, `captured_cell`, `segment`, `simulation`: from a file to an
 //!    admitted path; recordings of telemetry; configuration files; the cell with a capture of its bus; the cell for any
 //!    master; firmware in virtual time
-//! 6. `job`: tasks over one connection to the firmware, their progress, and how they go on after an interruption
+//! 6. `job`, `black_box`: tasks over one connection to the firmware, their progress, and how they go on after an
+//!    interruption; a controller's last two seconds, taken apart and exported
 //! 7. `machine`, `run`, `report`, `doctor`, `campaign`: one machine with several users; one drawing against the virtual
 //!    cell; its figures; checks of what the commands need; random episodes under the monitor
 //! 8. `report::output`, `bus`, `console`: the files of a drawing; diagnosis of an EtherCAT bus; the console in the browser
@@ -23,6 +24,7 @@
 #![forbid(unsafe_code)]
 
 pub mod bench;
+pub mod black_box;
 pub mod bus;
 pub mod campaign;
 pub mod captured_cell;

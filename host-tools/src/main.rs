@@ -3,8 +3,8 @@
 
 use clap::{Command, CommandFactory, FromArgMatches, Parser};
 use host_tools::commands::{
-    bench, bus, campaign, configuration, console, demo, doctor, draw, emulate, flash, identify, kinematics, operate,
-    order, plan, preview, record, recorded, reference, segment, shell, simulate, vectorize, verify,
+    bench, blackbox, bus, campaign, configuration, console, demo, doctor, draw, emulate, flash, identify, kinematics,
+    operate, order, plan, preview, record, recorded, reference, segment, shell, simulate, vectorize, verify,
 };
 use host_tools::drawing::preparation::confined;
 use host_tools::error::ProgramError;
@@ -67,6 +67,8 @@ enum Subcommand {
     Plot(recorded::PlotArguments),
     /// Write a recording as a table: CSV or Parquet.
     Export(recorded::ExportArguments),
+    /// Read a controller's black box: its last two seconds, kept over a reset.
+    Blackbox(blackbox::Arguments),
     /// Plan a path with the firmware's planner; nothing moves.
     Plan(plan::Arguments),
     /// Turn positions into joint angles and back.
@@ -106,6 +108,7 @@ fn main() -> ExitCode {
     let arguments = Arguments::from_arg_matches(&command_line().get_matches()).unwrap_or_else(|error| error.exit());
     let result = match arguments.command {
         Subcommand::Bench(arguments) => bench::run(&arguments),
+        Subcommand::Blackbox(arguments) => blackbox::run(&arguments),
         Subcommand::Bus(arguments) => bus::run(&arguments),
         Subcommand::Campaign(arguments) => campaign::run(&arguments),
         Subcommand::Completions(arguments) => shell::completions(&arguments, command_line()),
@@ -173,6 +176,7 @@ mod tests {
             "draw",
             "console",
             "record",
+            "blackbox",
             "reference",
             "identify",
             "doctor",

@@ -6,6 +6,7 @@
 
 use crate::emulator::Segment;
 use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState, RxToken, TxToken};
+use etherpen::black_box::{Keep, Memory, NoFrames};
 use etherpen::board::{BoardState, EmergencyStopInput, Interlock};
 use etherpen::control::feedback::COMPARISONS;
 use etherpen::controller::{Channels, Parts};
@@ -122,9 +123,12 @@ impl<'c> Driver for Wire<'c> {
 ///
 /// Returns the virtual milliseconds that have passed.
 pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
+    let black_box = Box::new(Memory::new());
+    black_box.start(Keep::Nothing);
     let mut channels = Box::new(Channels::new());
     let Parts {
         mut sampler,
+        mut recorder,
         mut trajectory,
         mut host_bytes,
         // The host uses the serial line.
@@ -135,12 +139,13 @@ pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
         network: _,
         // Virtual time has no durations.
         measurements: _,
-    } = channels.split("simulation");
+    } = channels.split("simulation", &black_box);
     let mut transport = FramePort::new(Wire {
         cell,
         time_ns: 0,
         arrived: VecDeque::new(),
     });
+    let no_frames = NoFrames::default();
     let mut watch = std::pin::pin!(supervisor.run());
     let mut to_firmware = Vec::new();
     let mut from_firmware = [0; LINE_BYTES_PER_MS];
@@ -176,6 +181,7 @@ pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
             trajectory.release();
             trajectory_due = false;
         }
+        recorder.tick(&no_frames);
         link.tick();
         let poll = watch.as_mut().poll(&mut Context::from_waker(Waker::noop()));
         debug_assert_eq!(poll, Poll::Pending, "the supervisor never ends");

@@ -37,6 +37,7 @@ mod app {
     use crate::board::{EXTERNAL_CLOCK, NAME};
     use crate::nucleo::{lamps, pins};
     use crate::shared::critical::{self, CRITICAL_PRIORITY};
+    use crate::shared::frames::Frames;
     use crate::shared::mode_log::ModeLog;
     use crate::shared::release::Release;
     use crate::shared::{final_telegram, load, overruns, time};
@@ -52,6 +53,7 @@ mod app {
     use core::mem::MaybeUninit;
     use core::pin::pin;
     use core::sync::atomic::Ordering;
+    use etherpen::black_box::{Keep, Memory, Recorder};
     use etherpen::board::{self, BoardState, EmergencyStopInput, Interlock, Lamps, RunEnd};
     use etherpen::control::sampler::Sampler;
     use etherpen::controller::{Channels, Parts};
@@ -80,6 +82,7 @@ mod app {
 
     #[local]
     struct Local {
+        recorder: &'static mut Recorder<'static>,
         trajectory: &'static mut TrajectoryTask<'static>,
         link: &'static mut LinkTask<'static>,
         serial: Serial,
@@ -118,6 +121,8 @@ mod app {
         crash_record::step_begins("pins");
         pins::start();
         defmt::info!("previous run: {}", defmt::Debug2Format(&previous));
+        BLACK_BOX.start(Keep::after(&previous.end));
+        BLACK_BOX.set_counts_per_s(clocks::TIMER_HZ);
         let init::LocalResources {
             channels,
             parts,
@@ -125,7 +130,7 @@ mod app {
             usb_memory,
             ..
         } = context.local;
-        let parts = parts.write(channels.split(NAME));
+        let parts = parts.write(channels.split(NAME, &BLACK_BOX));
         parts.link.set_previous_run(previous);
         crash_record::step_begins("Ethernet");
         let unique = unique_number();
@@ -162,6 +167,7 @@ mod app {
                 measurements: parts.measurements,
             },
             Local {
+                recorder: &mut parts.recorder,
                 trajectory: &mut parts.trajectory,
                 link: &mut parts.link,
                 serial,
@@ -182,7 +188,7 @@ mod app {
         }
     }
 
-    /// Sends the input telegram, and releases `link` every millisecond and `trajectory` every twelfth.
+    /// Sends the input telegram, and releases `record` every millisecond and `trajectory` every twelfth.
     ///
     /// Period: 1 ms. Priority: 15, critical. Deadline: the next release. Overrun: the elapsed time handed over shows
     /// the lateness, which the sampler counts; more than the configured number in a second is a fault.
@@ -221,7 +227,7 @@ mod app {
             overruns::trajectory_released();
             rtic::pend(Interrupt::LPTIM2);
         }
-        rtic::pend(Interrupt::LPTIM3);
+        rtic::pend(Interrupt::LPTIM1);
         resources.watch.sample(run(began_at), delay, load::slept_counts());
     }
 
@@ -283,6 +289,20 @@ mod app {
         load::urgent(|| measurements.critical_counts(), || context.local.serial.service());
     }
 
+    /// Records the last millisecond and its frames in the black box, hands its report on, then releases `link`.
+    ///
+    /// Period: 1 ms. Priority: 8. Deadline: 4 ms. Overrun: releases merge; frames that nobody has copied by then are
+    /// missing in the black box, which counts them.
+    #[task(binds = LPTIM1, priority = 8, shared = [&measurements], local = [recorder])]
+    fn record(context: record::Context) {
+        let measurements = context.shared.measurements;
+        load::urgent(
+            || measurements.critical_counts(),
+            || context.local.recorder.tick(&Frames),
+        );
+        rtic::pend(Interrupt::LPTIM3);
+    }
+
     /// Plans ahead and fills the ring with the next 12 setpoints.
     ///
     /// Period: 12 ms. Priority: 6. Deadline: 12 ms. Overrun: a release that found the one before not completed is
@@ -334,6 +354,10 @@ mod app {
         NETWORK.release();
     }
 
+    /// In memory that no start clears; `memory` has clocked it.
+    #[unsafe(link_section = ".black_box")]
+    static BLACK_BOX: Memory = Memory::new();
+
     static SUPERVISOR: Release = Release::new();
     static NETWORK: Release = Release::new();
 
@@ -371,6 +395,7 @@ mod app {
         }
         context.local.health.step();
         if clocks::external_clock_appeared() {
+            BLACK_BOX.end();
             panic::end(format_args!("{EXTERNAL_CLOCK} have come: started again on them"));
         }
     }

@@ -40,6 +40,11 @@ impl Descriptor {
         Self([const { AtomicU32::new(0) }; 4])
     }
 
+    /// Whether the descriptor belongs to the DMA, which has not written it back yet.
+    pub fn is_with_dma(&self) -> bool {
+        self.control() & OWN != 0
+    }
+
     #[inline]
     fn control(&self) -> u32 {
         self.0[3].load(Ordering::Acquire)
@@ -102,7 +107,7 @@ impl<'a, const N: usize> Ring<'a, N> {
     }
 
     fn is_ours(&self, index: usize) -> bool {
-        self.descriptor(index).control() & OWN == 0
+        !self.descriptor(index).is_with_dma()
     }
 }
 

@@ -22,8 +22,10 @@ pub const CHECK_SEQUENCE_BYTES: usize = 4;
 
 /// Bytes of a FIFO word.
 pub const WORD_BYTES: usize = 4;
-/// Both buffers hold whole FIFO words.
+/// A buffer holds whole FIFO words.
 const BUFFER_BYTES: usize = 1520;
+/// Buffers for each direction, used in turn: a frame stays readable until as many others have passed.
+pub const BUFFERS: usize = 8;
 /// The two command words ahead of a frame in the transmit FIFO, bytes.
 const COMMAND_BYTES: usize = 2 * WORD_BYTES;
 /// How often a busy bit is read before the controller counts as dead.
@@ -216,7 +218,7 @@ impl Counters {
 pub struct Lan9118<R> {
     port: Port<R>,
     address: [u8; 6],
-    rx: Buffer,
+    rx: Buffers,
 }
 
 /// Whole FIFO words, and aligned like them.
@@ -232,11 +234,34 @@ impl Buffer {
     }
 }
 
+/// Buffers used in turn.
+struct Buffers {
+    all: [Buffer; BUFFERS],
+    last: usize,
+}
+
+impl Buffers {
+    const EMPTY: Self = Self {
+        all: [const { Buffer::EMPTY }; BUFFERS],
+        last: 0,
+    };
+
+    /// Passes on to the next buffer.
+    fn advance(&mut self) -> &mut Buffer {
+        self.last = (self.last + 1) % BUFFERS;
+        self.last()
+    }
+
+    fn last(&mut self) -> &mut Buffer {
+        &mut self.all[self.last % BUFFERS]
+    }
+}
+
 /// The controller without the received frame's buffer, so that a reply can be written while the frame is read.
 struct Port<R> {
     registers: R,
     counters: Counters,
-    tx: Buffer,
+    tx: Buffers,
 }
 
 impl<R: Registers> Lan9118<R> {
@@ -270,12 +295,12 @@ impl<R: Registers> Lan9118<R> {
         let port = Port {
             registers,
             counters: Counters::default(),
-            tx: Buffer::EMPTY,
+            tx: Buffers::EMPTY,
         };
         Ok(Self {
             port,
             address,
-            rx: Buffer::EMPTY,
+            rx: Buffers::EMPTY,
         })
     }
 
@@ -289,12 +314,12 @@ impl<R: Registers> Lan9118<R> {
         self.port.counters
     }
 
-    /// Takes the next intact frame from the FIFO into the buffer and returns its length without check sequence; damaged
-    /// frames before it are counted and discarded.
-    fn take_frame(&mut self) -> Option<usize> {
+    /// Takes the next intact frame, without check sequence, from the FIFO into the next buffer; damaged frames before it
+    /// are counted and discarded.
+    fn take_frame<'b>(port: &mut Port<R>, buffers: &'b mut Buffers) -> Option<&'b mut [u8]> {
         let Port {
             registers, counters, ..
-        } = &mut self.port;
+        } = port;
         loop {
             let fill = registers.read(Register::RxFifoInf);
             if frames_waiting(fill) == 0 {
@@ -313,8 +338,9 @@ impl<R: Registers> Lan9118<R> {
             } else if !RX_LENGTHS.contains(&length) {
                 counters.rx_lengths = counters.rx_lengths.wrapping_add(1);
             } else {
-                registers.read_data(self.rx.0.get_mut(..words)?);
-                return Some(length - CHECK_SEQUENCE_BYTES);
+                let buffer = buffers.advance();
+                registers.read_data(buffer.0.get_mut(..words)?);
+                return buffer.bytes_mut().get_mut(..length - CHECK_SEQUENCE_BYTES);
             }
             for _ in 0..words {
                 registers.read(Register::RxData);
@@ -333,7 +359,7 @@ impl<R: Registers> Port<R> {
             return false;
         }
         if length < padded
-            && let Some(padding) = self.tx.bytes_mut().get_mut(length..padded)
+            && let Some(padding) = self.tx.last().bytes_mut().get_mut(length..padded)
         {
             padding.fill(0);
         }
@@ -347,7 +373,7 @@ impl<R: Registers> Port<R> {
         let segments = TX_FIRST_SEGMENT | TX_LAST_SEGMENT;
         self.registers.write(Register::TxData, segments | length_bits);
         self.registers.write(Register::TxData, length_bits);
-        self.registers.write_data(self.tx.0.get(..words).unwrap_or(&[]));
+        self.registers.write_data(self.tx.last().0.get(..words).unwrap_or(&[]));
         self.drain_transmit_status();
         self.counters.tx_frames = self.counters.tx_frames.wrapping_add(1);
         true
@@ -375,8 +401,7 @@ impl<R: Registers> Driver for Lan9118<R> {
         R: 'a;
 
     fn receive(&mut self, _: &mut Context) -> Option<(RxToken<'_>, TxToken<'_, R>)> {
-        let length = self.take_frame()?;
-        let frame = self.rx.bytes_mut().get_mut(..length)?;
+        let frame = Self::take_frame(&mut self.port, &mut self.rx)?;
         Some((RxToken { frame }, TxToken { port: &mut self.port }))
     }
 
@@ -459,7 +484,7 @@ impl<R: Registers> TxToken<'_, R> {
     /// A frame longer than [`FRAME_BYTES_MAX`] is filled as far as the buffer goes, counted and not sent.
     pub fn send<T>(&mut self, length: usize, f: impl FnOnce(&mut [u8]) -> T) -> (T, bool) {
         let port = &mut *self.port;
-        let result = match port.tx.bytes_mut().get_mut(..length.min(FRAME_BYTES_MAX)) {
+        let result = match port.tx.advance().bytes_mut().get_mut(..length.min(FRAME_BYTES_MAX)) {
             Some(frame) => f(frame),
             None => f(&mut []),
         };

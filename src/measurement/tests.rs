@@ -174,7 +174,7 @@ fn an_output_behind_its_deadline_is_counted_with_its_lateness() {
 #[test]
 fn requests_and_the_longest_answer_survive_the_link() {
     use crate::link::frame::{Decoder, FRAME_BYTES_MAX, decode, encode};
-    use crate::messages::{DeviceMessage, HostMessage};
+    use crate::messages::{DeviceMessage, HostMessage, RecordAnswer};
     let carried = |frame: &[u8]| {
         let mut decoder = Decoder::<{ FRAME_BYTES_MAX }>::new();
         let payload = frame.iter().find_map(|byte| {
@@ -192,7 +192,10 @@ fn requests_and_the_longest_answer_survive_the_link() {
             first: 255,
         },
     ] {
-        let message = HostMessage::Measure { id: 7, request };
+        let message = HostMessage::Measure {
+            id: 7,
+            request: request.into(),
+        };
         let length = encode(&message, &mut frame).expect("it fits");
         assert_eq!(decode::<HostMessage>(&carried(&frame[..length])), Ok(message));
     }
@@ -205,7 +208,10 @@ fn requests_and_the_longest_answer_survive_the_link() {
         bins: (0..BINS_PER_PIECE).map(|_| (u8::MAX, u32::MAX)).collect(),
         next: Some(u8::MAX),
     });
-    let message = DeviceMessage::Measured { id: u16::MAX, answer };
+    let message = DeviceMessage::Measured {
+        id: u16::MAX,
+        answer: RecordAnswer::Measurement(answer),
+    };
     let length = encode(&message, &mut frame).expect("it fits");
     assert_eq!(decode::<DeviceMessage>(&carried(&frame[..length])), Ok(message));
 }

@@ -219,7 +219,7 @@ impl Robot {
 
     /// Requests artificial loads from the board: a sum of `etherpen::measurement::disturbance`'s bits.
     pub(crate) fn disturb(&mut self, bits: u8) {
-        self.session.measure(MeasurementRequest::Disturb { bits });
+        self.session.measure(MeasurementRequest::Disturb { bits }.into());
     }
 
     /// Sends a configuration and waits for the answer.

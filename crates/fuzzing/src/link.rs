@@ -1,13 +1,14 @@
 //! Any bytes as the link's stream, and as the payload of its messages, at both ends.
 
 use crate::firmware::{framed, greeting, talk};
+use etherpen::black_box;
 use etherpen::config::Config;
 use etherpen::ethercat::diagnostics::ServiceRequest;
 use etherpen::link::frame::decode;
 use etherpen::link::message::MESSAGE_BYTES_MAX;
 use etherpen::measurement::{MeasurementRequest, Quantity};
 use etherpen::messages::Command;
-use etherpen::messages::{DeviceMessage, HostMessage, PathVertex, RobotProtocol};
+use etherpen::messages::{DeviceMessage, HostMessage, PathVertex, RecordRequest, RobotProtocol};
 use etherpen::motion::Pen;
 use etherpen_link::host::Session;
 use serde::{Serialize, Serializer, ser::SerializeTuple};
@@ -125,10 +126,14 @@ fn said() -> Vec<HostMessage> {
         },
         HostMessage::Measure {
             id: 5,
-            request: MeasurementRequest::Read {
+            request: RecordRequest::Measurement(MeasurementRequest::Read {
                 quantity: Quantity::Sample,
                 first: 0,
-            },
+            }),
+        },
+        HostMessage::Measure {
+            id: 6,
+            request: RecordRequest::BlackBox(black_box::Request::Read { offset: 1_024 }),
         },
     ]
 }

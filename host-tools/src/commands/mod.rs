@@ -3,6 +3,7 @@
 //! A command prints data on stdout, progress and messages on stderr, and ends with one of the documented exit codes.
 
 pub mod bench;
+pub mod blackbox;
 pub mod bus;
 pub mod campaign;
 pub mod configuration;

@@ -7,6 +7,7 @@ use super::hub::{Level, Topic};
 use crate::link::measurement::{Distribution, Reader, Readings};
 use crate::machine::{Order, Reply};
 use etherpen::measurement::{MeasurementRequest, Quantity, lower_bound};
+use etherpen::messages::RecordAnswer;
 use serde::Serialize;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -86,7 +87,7 @@ impl Console {
             return self.order(
                 self.ticket(),
                 "measuring again from zero",
-                Order::Measure(MeasurementRequest::Reset),
+                Order::Measure(MeasurementRequest::Reset.into()),
             );
         }
         if self.measuring.swap(true, Ordering::Relaxed) {
@@ -105,8 +106,8 @@ impl Console {
     fn read(&self) {
         let mut reader = Reader::new();
         while let Some(request) = reader.request() {
-            match self.machine.carry_out(Order::Measure(request)) {
-                Ok(Reply::Measured(answer)) => reader.take(&answer),
+            match self.machine.carry_out(Order::Measure(request.into())) {
+                Ok(Reply::Measured(RecordAnswer::Measurement(answer))) => reader.take(&answer),
                 Ok(_) => return,
                 Err(failure) => {
                     return self.change(|hub| hub.note(Level::Warning, format!("measurements: {failure}")));

@@ -37,6 +37,8 @@ pub enum EmulatorError {
         said: String,
         /// The last lines of the firmware's log.
         log: Vec<String>,
+        /// The black box, if the firmware has left one.
+        black_box: Option<PathBuf>,
     },
     /// The firmware did not reach its next millisecond.
     Silent {
@@ -98,9 +100,22 @@ impl fmt::Display for EmulatorError {
                 path.display()
             ),
             Self::Io { what, cause } => write!(f, "{what}: {cause}"),
-            Self::Ended { status, said, log } => {
+            Self::Ended {
+                status,
+                said,
+                log,
+                black_box,
+            } => {
                 write!(f, "the emulator ended by itself ({status})")?;
-                write_log(f, said, log)
+                write_log(f, said, log)?;
+                match black_box {
+                    Some(path) => write!(
+                        f,
+                        "\nits last two seconds: `etherpen blackbox --image {}`",
+                        path.display()
+                    ),
+                    None => Ok(()),
+                }
             }
             Self::Silent {
                 waited,

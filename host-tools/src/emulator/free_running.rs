@@ -213,6 +213,7 @@ impl<S: Segment> Peer<S> {
                     status,
                     said: self.process.said(),
                     log: decoder.last(),
+                    black_box: self.process.take_black_box(),
                 });
             }
         }

@@ -272,6 +272,7 @@ impl<S: Segment, L: Link> Lockstep<S, L> {
                 status,
                 said: self.process.said(),
                 log: decoder.last(),
+                black_box: self.process.take_black_box(),
             });
         }
         let waited = self.answered.elapsed();

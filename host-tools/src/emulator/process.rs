@@ -22,6 +22,8 @@ use std::sync::{Mutex, Once, PoisonError};
 
 /// File for the emulator's own output, in its working directory.
 const OUTPUT_FILE: &str = "qemu.out";
+/// File in which the firmware saves its black box when it panics.
+const BLACK_BOX_FILE: &str = "black-box.bin";
 /// Length of that output shown in an error, bytes.
 const OUTPUT_SHOWN: usize = 2000;
 
@@ -183,6 +185,15 @@ impl Process {
         let start = bytes.len().saturating_sub(OUTPUT_SHOWN);
         let shown = bytes.get(start..).unwrap_or_default();
         String::from_utf8_lossy(shown).trim().to_owned()
+    }
+
+    /// Moves the black box that a panicking firmware has left to a file that outlives the emulator; `None` if there is
+    /// none.
+    pub(crate) fn take_black_box(&self) -> Option<PathBuf> {
+        let from = self.directory.join(BLACK_BOX_FILE);
+        let name = self.directory.path.file_name()?.to_string_lossy().into_owned();
+        let to = std::env::temp_dir().join(format!("{name}-{BLACK_BOX_FILE}"));
+        fs::rename(from, &to).ok().map(|()| to)
     }
 }
 

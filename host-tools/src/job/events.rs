@@ -7,8 +7,7 @@ use crate::link::session::Event;
 use etherpen::application::{Mode, Refusal};
 use etherpen::board::PortState;
 use etherpen::link::message::PathAck;
-use etherpen::measurement::MeasurementAnswer;
-use etherpen::messages::{Command, Sample, Status};
+use etherpen::messages::{Command, RecordAnswer, Sample, Status};
 use etherpen::motion::Pen;
 use std::sync::Arc;
 
@@ -26,7 +25,7 @@ impl Job {
             }
             Event::VersionRefused { host, firmware } => self.lose(JobError::Version { host, firmware }),
             Event::Restarted => self.lose(JobError::Restarted),
-            Event::Measured(answer) => self.take_measurement(answer),
+            Event::Measured(answer) => self.take_measured(answer),
             Event::Bus(result) => self.events.push_back(JobEvent::Bus(result)),
             Event::Configured(Ok(hash)) => match self.config.hash() {
                 Some(ours) if ours == hash => self.enter(Phase::BusUp),
@@ -125,10 +124,13 @@ impl Job {
         self.status = Some(status);
     }
 
-    fn take_measurement(&mut self, answer: MeasurementAnswer) {
+    fn take_measured(&mut self, answer: RecordAnswer) {
         if self.questions.pop_front() == Some(false) {
             return self.events.push_back(JobEvent::Measured(answer));
         }
+        let RecordAnswer::Measurement(answer) = answer else {
+            return;
+        };
         let next = self.reader.as_mut().and_then(|reader| {
             reader.take(&answer);
             reader.request()

@@ -32,7 +32,7 @@ use etherpen::config::Config;
 use etherpen::ethercat::diagnostics::ServiceRequest;
 use etherpen::link::message::PathAck;
 use etherpen::measurement::MeasurementRequest;
-use etherpen::messages::{Command, PathVertex, Sample, Status, Welcome};
+use etherpen::messages::{Command, PathVertex, RecordRequest, Sample, Status, Welcome};
 pub use phases::{BUS_MAX_MS, SILENCE_MAX_MS, STEP_MAX_MS};
 use progress::{PathMeasure, Progress};
 use std::collections::VecDeque;
@@ -350,15 +350,15 @@ impl Job {
         self.session.bus(request);
     }
 
-    /// Sends a measurement request; the answer is [`JobEvent::Measured`].
-    pub fn question(&mut self, request: MeasurementRequest) {
+    /// Sends a request to what the firmware records of itself; the answer is [`JobEvent::Measured`].
+    pub fn question(&mut self, request: RecordRequest) {
         self.questions.push_back(false);
         self.session.measure(request);
     }
 
     fn own_question(&mut self, request: MeasurementRequest) {
         self.questions.push_back(true);
-        self.session.measure(request);
+        self.session.measure(request.into());
     }
 
     /// Carries out an operator's control; returns the number of the command sent for it, if any.

@@ -10,8 +10,7 @@ use crate::link::measurement::Readings;
 use crate::link::session::SessionCounts;
 use etherpen::application::{Mode, Refusal};
 use etherpen::ethercat::diagnostics::ServiceResult;
-use etherpen::measurement::MeasurementAnswer;
-use etherpen::messages::{Command, PathVertex, Sample, Status, Welcome};
+use etherpen::messages::{Command, PathVertex, RecordAnswer, Sample, Status, Welcome};
 use etherpen::motion::Pen;
 use etherpen::robots::Position;
 use serde::{Deserialize, Serialize};
@@ -223,8 +222,8 @@ pub enum JobEvent {
     },
     /// A bus request was answered; answers come in the order of the requests.
     Bus(ServiceResult),
-    /// A measurement request was answered; answers come in the order of the requests.
-    Measured(MeasurementAnswer),
+    /// A request to the firmware's records was answered; answers come in the order of the requests.
+    Measured(RecordAnswer),
 }
 
 /// Result of a job, also of a failed one.

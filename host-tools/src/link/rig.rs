@@ -2,6 +2,7 @@
 
 use crate::random::Xorshift;
 use etherpen::application::{Fault, Mode, Refusal};
+use etherpen::black_box::Memory;
 use etherpen::board::PortState;
 use etherpen::config::Config;
 use etherpen::ethercat::diagnostics::{BusInfo, ServiceReply, ServiceRequest};
@@ -9,7 +10,7 @@ use etherpen::link::device::{Identity, LINE_BYTES_PER_MS};
 use etherpen::link::frame::Decoder;
 use etherpen::link::ports::LinkPort;
 use etherpen::measurement::Measurements;
-use etherpen::messages::{Command, Counters, PathVertex, Sample, Status};
+use etherpen::messages::{Command, Counters, PathVertex, RecordAnswer, RecordRequest, Sample, Status};
 use etherpen::messages::{DeviceEndpoint, DeviceEvent};
 use etherpen::motion::Pen;
 use etherpen::robots::{AXES, Kinematics, Position};
@@ -75,6 +76,7 @@ pub(crate) struct Rig {
     pub(crate) commands: Vec<Command>,
     pub(crate) asked: Vec<ServiceRequest>,
     pub(crate) measurements: Measurements,
+    black_box: Box<Memory>,
     pub(crate) vertices: Vec<PathVertex>,
     pub(crate) executed: u32,
     pub(crate) lines: [FaultyLine; 2],
@@ -111,6 +113,7 @@ impl Rig {
             commands: Vec::new(),
             asked: Vec::new(),
             measurements: Measurements::new(),
+            black_box: Box::new(Memory::new()),
             vertices: Vec::new(),
             executed: 0,
             lines: [
@@ -166,7 +169,10 @@ impl Rig {
                 self.endpoint.bus_answered(id, Ok(ServiceReply::Bus(info)));
             }
             DeviceEvent::Measure { id, request } => {
-                let answer = self.measurements.answer(request);
+                let answer = match request {
+                    RecordRequest::Measurement(request) => RecordAnswer::Measurement(self.measurements.answer(request)),
+                    RecordRequest::BlackBox(request) => RecordAnswer::BlackBox(self.black_box.answer(request)),
+                };
                 self.endpoint.measured(id, answer);
             }
             DeviceEvent::Configure { id, config } => {

@@ -43,8 +43,7 @@ pub use account::Account;
 use etherpen::config::Config;
 use etherpen::ethercat::diagnostics::{ServiceRequest, ServiceResult};
 use etherpen::link::message::PathAck;
-use etherpen::measurement::{MeasurementAnswer, MeasurementRequest};
-use etherpen::messages::{Command, Sample, Status, Welcome};
+use etherpen::messages::{Command, RecordAnswer, RecordRequest, Sample, Status, Welcome};
 pub use following::Source;
 use lanes::{Lanes, Taken};
 pub use lanes::{OVERTAKEN, Ticket};
@@ -102,8 +101,8 @@ pub enum Order {
     Draw(DrawOrder),
     /// Request to the bus; answered by [`Reply::Bus`].
     Bus(ServiceRequest),
-    /// Request for measurements; answered by [`Reply::Measured`].
-    Measure(MeasurementRequest),
+    /// Request to what the firmware records of itself; answered by [`Reply::Measured`].
+    Measure(RecordRequest),
 }
 
 /// A drawing to be made.
@@ -126,7 +125,7 @@ pub enum Reply {
     /// Answer to [`Order::Bus`].
     Bus(ServiceResult),
     /// Answer to [`Order::Measure`].
-    Measured(MeasurementAnswer),
+    Measured(RecordAnswer),
 }
 
 /// Why an order was not carried out, or why there is no connection.

@@ -6,6 +6,7 @@ mod bus;
 mod bus_end_to_end;
 // The tests there read the state of processes from /proc.
 mod bench;
+mod blackbox;
 mod board;
 mod calibration;
 mod configuration;

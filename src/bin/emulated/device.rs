@@ -46,6 +46,7 @@ pub(crate) enum Interrupt {
     FREE15 = 15,
     FREE16 = 16,
     FREE17 = 17,
+    FREE18 = 18,
 }
 
 // SAFETY: the discriminants are the machine's interrupt numbers, all below 32, and no two are equal.
@@ -68,6 +69,7 @@ unsafe extern "C" {
     fn FREE15();
     fn FREE16();
     fn FREE17();
+    fn FREE18();
     fn DefaultHandler();
 }
 
@@ -87,6 +89,7 @@ const fn vectors() -> [Handler; INTERRUPTS] {
     table[Interrupt::FREE15 as usize] = FREE15;
     table[Interrupt::FREE16 as usize] = FREE16;
     table[Interrupt::FREE17 as usize] = FREE17;
+    table[Interrupt::FREE18 as usize] = FREE18;
     table
 }
 

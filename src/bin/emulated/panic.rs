@@ -1,8 +1,9 @@
 //! End of the firmware: prints the cause on the emulator's console and ends the emulator with a failure.
 //!
-//! No logger and no queue is used, since one of them may be the cause. A final telegram stops the drives. The cyclic
+//! No logger and no queue is used, since one of them may be the cause. A final telegram stops the drives. The black box is saved to the host. The cyclic
 //! frames end with the emulator, and the drives' own watchdogs stop the motors.
 
+use super::black_box;
 use super::semihosting::{EXIT_PANIC, exit, say};
 use super::wire::Wire;
 use crate::shared::final_telegram;
@@ -15,7 +16,10 @@ fn end(cause: fmt::Arguments) -> ! {
     // First, before any further failure.
     say(cause);
     // SAFETY: interrupts are masked, and nothing returns from here.
-    unsafe { final_telegram::send(Wire::wait_no_more) };
+    unsafe {
+        final_telegram::send(Wire::wait_no_more);
+        black_box::save();
+    }
     exit(EXIT_PANIC)
 }
 

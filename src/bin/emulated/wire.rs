@@ -13,9 +13,11 @@ use super::lan9118::{Mmio, frames_waiting, free_run};
 use super::lockstep::Bus;
 use super::timer::Clock;
 use super::wake;
+use crate::shared::frames;
 use core::task::Context;
 use cortex_m::peripheral::NVIC;
 use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState};
+use etherpen::black_box::Direction;
 use etherpen::ethernet::lan9118::{self, Lan9118, RxToken};
 
 /// Controller, clock and lockstep.
@@ -61,10 +63,10 @@ impl Wire {
 }
 
 impl Driver for Wire {
-    type RxToken<'a> = RxToken<'a>;
+    type RxToken<'a> = Noted<'a>;
     type TxToken<'a> = TxToken<'a>;
 
-    fn receive(&mut self, context: &mut Context) -> Option<(RxToken<'_>, TxToken<'_>)> {
+    fn receive(&mut self, context: &mut Context) -> Option<(Noted<'_>, TxToken<'_>)> {
         let (received, inner) = self.mac.receive(context)?;
         let token = TxToken {
             inner,
@@ -73,7 +75,7 @@ impl Driver for Wire {
             clock: &mut self.clock,
             bus: self.bus.as_ref(),
         };
-        Some((received, token))
+        Some((Noted(received), token))
     }
 
     fn transmit(&mut self, context: &mut Context) -> Option<TxToken<'_>> {
@@ -96,6 +98,18 @@ impl Driver for Wire {
 
     fn hardware_address(&self) -> HardwareAddress {
         self.mac.hardware_address()
+    }
+}
+
+/// A received frame, noted for the black box when it is taken.
+pub(crate) struct Noted<'a>(RxToken<'a>);
+
+impl embassy_net_driver::RxToken for Noted<'_> {
+    fn consume<T, F: FnOnce(&mut [u8]) -> T>(self, f: F) -> T {
+        self.0.consume(|frame| {
+            frames::note(Direction::Received, frame.as_ptr(), frame.len(), free_run());
+            f(frame)
+        })
     }
 }
 
@@ -129,6 +143,10 @@ impl TxToken<'_> {
 
 impl embassy_net_driver::TxToken for TxToken<'_> {
     fn consume<T, F: FnOnce(&mut [u8]) -> T>(mut self, length: usize, f: F) -> T {
+        let f = |frame: &mut [u8]| {
+            frames::note(Direction::Sent, frame.as_ptr(), frame.len(), free_run());
+            f(frame)
+        };
         let Some(bus) = self.bus else {
             return self.inner.send(length, f).0;
         };

@@ -13,18 +13,21 @@
 //!
 //! Register layouts: RM0433, chapter "Ethernet (ETH)".
 
-use super::phy;
+use super::{phy, timer};
+use crate::shared::frames;
 use core::cell::UnsafeCell;
+use core::ptr;
 use core::sync::atomic::{AtomicU32, Ordering};
 use core::task::Context;
 use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState};
+use etherpen::black_box::{Direction, FrameNote};
 use etherpen::board::PortState;
 use etherpen::ethernet::descriptors::{DESCRIPTOR_BYTES, Descriptor, Place, ReceiveRing, Received, TransmitRing};
 use etherpen::robot_bus::MASTER_ADDRESS;
 use stm32_metapac::{ETH, RCC, SYSCFG, syscfg::vals::EthSelPhy};
 
 /// Descriptors of a ring. A cycle exchanges two frames; the rest is for foreign frames until the next interrupt.
-const RING_LENGTH: usize = 8;
+pub(crate) const RING_LENGTH: usize = 8;
 /// Bytes of a buffer: a frame of full length, its check sequence, rounded up to whole cache lines.
 const BUFFER_SIZE: usize = 1536;
 /// Longest frame without its check sequence, bytes.
@@ -308,6 +311,21 @@ fn drop_frame(ring: &mut Receive) {
     give_back(ring);
 }
 
+/// Whether the DMA has not begun to write into a received frame's buffer since the frame was given back. Safe in any
+/// task.
+pub(crate) fn is_readable(note: &FrameNote) -> bool {
+    if note.direction() == Direction::Sent {
+        return true;
+    }
+    let first = ETH_DMA_RECEIVE.buffers.as_ptr() as u32;
+    let index = note.place.wrapping_sub(first) as usize / BUFFER_SIZE;
+    let Some(descriptor) = ETH_DMA_RECEIVE.descriptors.get(index) else {
+        return false;
+    };
+    let current = ETH.ethernet_dma().dmaccarx_dr().read().0;
+    descriptor.is_with_dma() && current != ptr::from_ref(descriptor) as u32
+}
+
 impl Driver for Ethernet {
     type RxToken<'a> = RxToken<'a>;
     type TxToken<'a> = TxToken<'a>;
@@ -357,6 +375,7 @@ impl embassy_net_driver::RxToken for RxToken<'_> {
         // SAFETY: `received` has seen the descriptor in turn without OWN (acquire), so the DMA has finished with the
         // buffer, and it starts again only after `give_back`; the token's `&mut` keeps everyone else away until then.
         let frame = unsafe { core::slice::from_raw_parts_mut(buffer, self.length.min(BUFFER_SIZE)) };
+        frames::note(Direction::Received, frame.as_ptr(), frame.len(), timer::free_run());
         let result = read(frame);
         give_back(self.ring);
         result
@@ -377,6 +396,7 @@ impl embassy_net_driver::TxToken for TxToken<'_> {
         // buffer, and it starts again only after `hand_over`; the token's `&mut` keeps everyone else away until then.
         let frame = unsafe { core::slice::from_raw_parts_mut(buffer, length) };
         let result = build(frame);
+        frames::note(Direction::Sent, frame.as_ptr(), length, timer::free_run());
         let tail = self.ring.hand_over(length);
         // Frame and descriptor are in memory before the DMA is notified.
         cortex_m::asm::dsb();

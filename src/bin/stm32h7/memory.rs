@@ -1,8 +1,8 @@
-//! Memory attributes: memory shared with the Ethernet DMA is not cached, the rest is.
+//! Memory attributes: memory shared with the Ethernet DMA, and the black box, are not cached, the rest is.
 //!
 //! The DMA neither sees the D-cache nor reaches DTCM. Its descriptors and buffers therefore lie in the SRAM of domain
 //! D2, and one MPU region makes that SRAM normal, shareable, non-cacheable memory: no cache maintenance anywhere,
-//! unaligned access still allowed. It must be in force before the D-cache is on and before the first descriptor is
+//! unaligned access still allowed. The black box is in the same SRAM: what is written there survives a reset at once. It must be in force before the D-cache is on and before the first descriptor is
 //! written.
 //!
 //! A second region makes the code in ITCM read-only: it begins at address zero, where a stray write is most likely to

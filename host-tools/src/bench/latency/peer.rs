@@ -11,7 +11,7 @@ use crate::random::XorshiftStar;
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
 use etherpen::measurement::{MeasurementAnswer, MeasurementRequest};
-use etherpen::messages::{Command, Counters, PathVertex, Status};
+use etherpen::messages::{Command, Counters, PathVertex, RecordAnswer, Status};
 use etherpen::motion::Pen;
 use std::sync::Arc;
 
@@ -152,8 +152,11 @@ impl Peer {
                 self.status = Some(status);
             }
             Event::Ack(ack) => self.drawing &= !(ack.job == self.job && ack.finished),
-            Event::Measured(answer) => self.take_measurement(&answer),
-            Event::Configured(Ok(_)) | Event::Bus(_) | Event::Samples { .. } => {}
+            Event::Measured(RecordAnswer::Measurement(answer)) => self.take_measurement(&answer),
+            Event::Measured(RecordAnswer::BlackBox(_))
+            | Event::Configured(Ok(_))
+            | Event::Bus(_)
+            | Event::Samples { .. } => {}
         }
     }
 
@@ -185,7 +188,7 @@ impl Peer {
 
     fn read_on(&mut self) {
         match self.reader.request() {
-            Some(request) => self.session.measure(request),
+            Some(request) => self.session.measure(request.into()),
             None => {
                 let counters = self.status.as_ref().map(|status| status.counters).unwrap_or_default();
                 let readings = std::mem::take(&mut self.reader).into_readings().unwrap_or_default();
@@ -225,12 +228,12 @@ impl Peer {
             Step::Referencing => self.request(Command::Home),
             Step::Enabling if mode == Mode::Idle => {
                 let bits = self.disturbance.bits();
-                self.session.measure(MeasurementRequest::Disturb { bits });
+                self.session.measure(MeasurementRequest::Disturb { bits }.into());
                 self.enter(Step::Disturbing);
             }
             Step::Enabling => self.request(Command::Enable),
             Step::Settling if waited_ms >= self.settle_ms => {
-                self.session.measure(MeasurementRequest::Reset);
+                self.session.measure(MeasurementRequest::Reset.into());
                 self.before = counters;
                 self.step = Step::Measuring;
                 self.since_ms = self.now_ms;
