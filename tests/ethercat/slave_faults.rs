@@ -12,6 +12,8 @@ use host_tools::cell::{self, CellOptions, Fault, MailFault, MailStep, Product, S
 const DEVICE_NAME: Object = Object::new(0x1008, 0);
 /// Longest time within which a change of the bus is noticed, ms.
 const NOTICED_MAX_MS: u64 = 100;
+/// Milliseconds without inputs after which a slave counts as touched: cycles during a change of the chain are lost.
+const SILENT_MAX_MS: u32 = 3;
 /// Longest time that a refusal takes, ms: all waiting ends.
 const REFUSED_MAX_MS: u64 = 20_000;
 
@@ -389,6 +391,42 @@ fn a_slave_that_returns_while_another_is_identified_at_its_place_loses_nothing()
         }
         assert_well(&mut rig, &format!("{delay_ms} ms"));
     }
+}
+
+#[test]
+fn a_slave_that_returns_before_one_that_is_being_identified_costs_no_other_its_address() {
+    let mut touched = Vec::new();
+    for delay_ms in 0..60 {
+        let mut rig = rig("");
+        rig.operational();
+        rig.run_ms(50);
+        for fault in [Fault::Remove(1), Fault::Swap(3, Product::Ax2000)] {
+            rig.cell.inject(fault);
+        }
+        rig.run_ms(300);
+        rig.recover();
+        rig.run_ms(delay_ms);
+        rig.cell.inject(Fault::Insert(1));
+        let (mut silent_ms, mut longest_ms) = ([0; 2], 0);
+        for _ in 0..1_000 {
+            rig.millisecond();
+            for (silent_ms, axis) in silent_ms.iter_mut().zip([1, 3]) {
+                *silent_ms = if rig.inputs[axis].is_some() { 0 } else { *silent_ms + 1 };
+                longest_ms = longest_ms.max(*silent_ms);
+            }
+        }
+        if longest_ms >= SILENT_MAX_MS {
+            touched.push(delay_ms);
+        }
+        for _ in 0..5 {
+            rig.recover();
+            rig.run_ms(700);
+        }
+        assert_well(&mut rig, &format!("{delay_ms} ms"));
+    }
+    println!("another slave got the temporary address: {touched:?}");
+    // It is given by place, in the millisecond after the places were read.
+    assert!(touched.len() <= 1, "{touched:?}");
 }
 
 #[test]

@@ -5,10 +5,10 @@ use etherpen::board::PortState;
 use etherpen::config::Config;
 use etherpen::control::feedback::COMPARISONS;
 use etherpen::ethercat::diagnostics::ServiceRequest;
-use etherpen::link::frame::{FRAME_BYTES_MAX, encode};
+use etherpen::link::frame::{Decoder, FRAME_BYTES_MAX, decode, encode};
 use etherpen::link::message::PathAck;
 use etherpen::measurement::MeasurementRequest;
-use etherpen::messages::{Command, ConfigRefusal, HostMessage, PathVertex, Sample, Status};
+use etherpen::messages::{Command, ConfigRefusal, DeviceMessage, HostMessage, PathVertex, Sample, Status};
 use etherpen::motion::Pen;
 use host_tools::cell::{Cell, CellOptions, CellState, Fault as CellFault, InkStroke};
 use host_tools::emulator::{Emulator, Link, Options};
@@ -94,8 +94,12 @@ pub(crate) struct Robot {
     /// Number of the last command outside the session, and the bytes of such commands still to be sent.
     beside: u16,
     at_once: Vec<u8>,
-    /// The last status.
+    /// The last status that the operator received.
     pub(crate) status: Option<Status>,
+    /// The last status that left the board, also while the operator's cable is unplugged.
+    pub(crate) reported: Option<Status>,
+    /// Finds the frames that leave the board while the operator's cable is unplugged.
+    unheard: Box<Decoder>,
     /// The last acknowledgement of the path.
     pub(crate) ack: PathAck,
     /// All samples.
@@ -167,6 +171,8 @@ impl Robot {
             beside: FIRST_BESIDE,
             at_once: Vec::new(),
             status: None,
+            reported: None,
+            unheard: Box::default(),
             ack: PathAck::default(),
             samples: Vec::new(),
             configured: Vec::new(),
@@ -348,6 +354,8 @@ impl Robot {
                     self.take(event);
                 }
                 length = self.session.transmit(now_ms, &mut line);
+            } else {
+                self.read_unheard(&bytes);
             }
             // Not in the middle of a frame of the session's.
             if length == 0 {
@@ -385,13 +393,27 @@ impl Robot {
         self.run_until(&format!("{mode:?}"), |robot| robot.mode() == mode);
     }
 
+    /// Reads the reports in bytes that the operator does not receive.
+    fn read_unheard(&mut self, bytes: &[u8]) {
+        for byte in bytes {
+            if let Some(Ok(payload)) = self.unheard.push(*byte)
+                && let Ok(DeviceMessage::Status(status)) = decode::<DeviceMessage>(payload)
+            {
+                self.reported = Some(status);
+            }
+        }
+    }
+
     fn take(&mut self, event: Event) {
         match event {
             Event::Answered { id, result, .. } => self.answers.push((id, result)),
             Event::Configured(result) => self.configured.push(result),
             Event::Ack(ack) => self.ack = ack,
             Event::VertexRefused(refusal) => self.refused.push(refusal),
-            Event::Status(status) => self.status = Some(status),
+            Event::Status(status) => {
+                self.reported = Some(status.clone());
+                self.status = Some(status);
+            }
             Event::Samples { samples, .. } => self.samples.extend(samples),
             Event::Connected(_)
             | Event::VersionRefused { .. }

@@ -64,12 +64,15 @@ impl Monitor {
             .orders
             .step(&self.cell, &self.bounds, &self.motion, &self.disturbances)
         {
-            self.drawing.begin(&self.cell, &self.bounds);
+            self.drawing.begin_unanswered(&self.bounds);
         }
         for report in moment.reports {
             self.disturbances.hear(report);
             self.orders.hear(&self.bounds, &self.motion, &self.disturbances, report);
             self.drawing.hear(&self.cell, &self.bounds, report);
+        }
+        if !self.orders.asks_for_path() {
+            self.drawing.forget_asked();
         }
         let is_stopping = self.orders.is_stopping(&self.bounds, moment.time_ms);
         let is_power_changing = scene::is_power_changing(&self.motion);
@@ -102,7 +105,7 @@ impl Monitor {
         })
     }
 
-    /// A counter of this name has to show a number at the end; the same as [`Input::Expected`].
+    /// A counter of this name has to show a number at the end. An [`Input::Expected`] says the same.
     pub fn expect(&mut self, name: &'static str, count: u64) {
         self.rules.take(&Input::Expected { name, count });
     }

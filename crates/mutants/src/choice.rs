@@ -61,6 +61,7 @@ mod tests {
             range: start..start + 2,
             replacement: String::new(),
             change: String::new(),
+            occurrence: None,
         }
     }
 

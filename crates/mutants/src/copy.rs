@@ -1,4 +1,4 @@
-//! The instrumented copy of the sources: all tracked files, the mutants, and the crate with their switch.
+//! The instrumented copy of the sources: files that git does not ignore, the mutants, and the crate with their switch.
 
 use crate::instrument::{Instrumented, SWITCH_CRATE, instrument, with_switch};
 use crate::parts::PARTS;
@@ -20,12 +20,13 @@ pub(crate) struct Copy {
 }
 
 impl Copy {
-    /// Makes the copy in `folder`, without the files that [`Self::mutate`] writes. Files whose content is already there keep their times, so that cargo builds little.
+    /// Copies `files` to `folder`, without those that [`Self::mutate`] writes. Files whose content is already there
+    /// keep their times, so that cargo builds little.
     ///
     /// # Errors
     /// A file cannot be read or written.
-    pub(crate) fn make(root: &Path, tracked: &[String], sources: &Sources, folder: PathBuf) -> Result<Self, String> {
-        for file in tracked {
+    pub(crate) fn make(root: &Path, files: &[String], sources: &Sources, folder: PathBuf) -> Result<Self, String> {
+        for file in files {
             let content = fs::read(root.join(file)).map_err(|error| format!("{file}: {error}"))?;
             let is_manifest = manifests().iter().any(|(manifest, _)| manifest == file);
             if !is_manifest && !sources.texts.contains_key(file) {
@@ -40,7 +41,7 @@ impl Copy {
         let manifest = format!("[package]\nname = \"{SWITCH_CRATE}\"\nversion = \"0.0.0\"\nedition = \"2024\"\n");
         write(&folder.join(SWITCH_FOLDER).join("Cargo.toml"), manifest.as_bytes())?;
         write(&folder.join(SWITCH_FOLDER).join("src/lib.rs"), SWITCH.as_bytes())?;
-        remove_others(&folder, tracked)?;
+        remove_others(&folder, files)?;
         Ok(Self {
             folder,
             mutated: BTreeMap::new(),
@@ -87,9 +88,9 @@ fn manifests() -> Vec<(String, String)> {
     packages.into_iter().map(manifest).collect()
 }
 
-/// Removes Rust files that are no longer tracked: cargo would find tests among them.
-fn remove_others(folder: &Path, tracked: &[String]) -> Result<(), String> {
-    let known: BTreeSet<PathBuf> = tracked.iter().map(|file| folder.join(file)).collect();
+/// Removes Rust files that are not among `files`: cargo would find tests among them.
+fn remove_others(folder: &Path, files: &[String]) -> Result<(), String> {
+    let known: BTreeSet<PathBuf> = files.iter().map(|file| folder.join(file)).collect();
     let mut folders = vec![folder.to_path_buf()];
     while let Some(inner) = folders.pop() {
         if inner == folder.join(SWITCH_FOLDER) {

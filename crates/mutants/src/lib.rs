@@ -22,6 +22,8 @@
 //!
 //! - With no mutant switched on, the copy behaves as the sources do.
 //! - One seed chooses the same mutants of the same sources on every computer.
+//! - An outcome is kept only while code, tests and campaigns stay the same.
+//! - A failure of the computer (a full disk, a program that cannot be started) ends the run; it finds no mutant.
 #![forbid(unsafe_code)]
 
 mod cargo;

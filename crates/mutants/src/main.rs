@@ -16,9 +16,13 @@ struct Arguments {
     /// Number of mutants
     #[arg(long, default_value_t = 100, value_parser = count)]
     count: usize,
-    /// File of results; an interrupted run goes on from there. Default: mutants/results.json in cargo's output folder
+    /// File of results. An interrupted run goes on from there unless a file of the sources has changed. Default:
+    /// mutants/results.json in cargo's output folder
     #[arg(long, value_name = "FILE")]
     results: Option<PathBuf>,
+    /// Judge all mutants, even those that were judged before
+    #[arg(long, conflicts_with_all = ["only", "list"])]
+    fresh: bool,
     /// Judge this mutant alone, even if it was judged before
     #[arg(long, value_name = "NUMBER", conflicts_with = "list")]
     only: Option<u32>,
@@ -43,6 +47,7 @@ fn main() -> ExitCode {
         seed: arguments.seed,
         count: arguments.count,
         results: arguments.results,
+        fresh: arguments.fresh,
         only: arguments.only,
         list: arguments.list,
         report: arguments.report,

@@ -4,6 +4,7 @@
 //! `cfg`, and what only prints (`Display`, `Debug`).
 
 use crate::site::{ORDERED, Operator, SWITCH, Site};
+use std::collections::BTreeMap;
 use std::ops::Range;
 use syn::spanned::Spanned;
 use syn::visit::{self, Visit};
@@ -23,7 +24,22 @@ pub(crate) fn sites(file: &str, text: &str) -> Result<Vec<Site>, syn::Error> {
     };
     finder.visit_file(&parsed);
     finder.sites.sort_by_key(|site| (site.range.start, site.range.end));
+    number_equal_changes(&mut finder.sites);
     Ok(finder.sites)
+}
+
+/// Numbers the sites of a file that have the same change in the same function.
+fn number_equal_changes(sites: &mut [Site]) {
+    let mut places: BTreeMap<(String, String), Vec<usize>> = BTreeMap::new();
+    for (place, site) in sites.iter().enumerate() {
+        let key = (site.function.clone(), site.change.clone());
+        places.entry(key).or_default().push(place);
+    }
+    for equal in places.into_values().filter(|equal| equal.len() > 1) {
+        for (occurrence, place) in (1..).zip(equal) {
+            sites[place].occurrence = Some(occurrence);
+        }
+    }
 }
 
 /// Names of the modules that a file declares in files of their own, for tests only.
@@ -73,6 +89,7 @@ impl Finder<'_> {
             range,
             replacement,
             change,
+            occurrence: None,
         });
     }
 
@@ -340,7 +357,7 @@ fn is_state(target: &Expr) -> bool {
     }
 }
 
-/// What forgetting to assign this value is.
+/// Operator of the mutant that leaves out an assignment of this value; `None` if such an assignment has no mutant.
 fn assigned(value: &Expr) -> Option<Operator> {
     match value {
         Expr::Lit(literal) => of_literal(&literal.lit),

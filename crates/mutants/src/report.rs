@@ -1,9 +1,9 @@
 //! The document with all mutants: found by what, or why they survive.
 
 use crate::parts::PARTS;
-use crate::results::{Mutant, Outcome, Results};
+use crate::results::{Mutant, Outcome, Results, numbered};
 use serde::Deserialize;
-use std::fmt::Write;
+use std::fmt::{self, Write};
 
 /// Part of the mutants that has to be found, percent; those that do what the original does are not counted.
 pub const FOUND_MIN_PERCENT: usize = 95;
@@ -18,6 +18,8 @@ pub struct Reason {
     pub function: String,
     /// The change in words.
     pub change: String,
+    /// Number of this change, from 1, among equal changes in the same function; none if there is only one.
+    pub occurrence: Option<u32>,
     /// Whether no test can find it: the mutant does what the original does.
     #[serde(default)]
     pub equivalent: bool,
@@ -44,9 +46,17 @@ pub fn reasons(text: &str) -> Result<Vec<Reason>, String> {
 /// The reason why a mutant survives.
 #[must_use]
 pub fn reason_of<'a>(mutant: &Mutant, reasons: &'a [Reason]) -> Option<&'a Reason> {
-    let place = (&mutant.file, &mutant.function, &mutant.change);
-    let of = |reason: &&Reason| (&reason.file, &reason.function, &reason.change) == place;
+    let place = (&mutant.file, &mutant.function, &mutant.change, mutant.occurrence);
+    let of = |reason: &&Reason| (&reason.file, &reason.function, &reason.change, reason.occurrence) == place;
     reasons.iter().find(of)
+}
+
+impl Reason {
+    /// The change in words, with its number where the function has several equal ones.
+    #[must_use]
+    pub fn numbered_change(&self) -> String {
+        numbered(&self.change, self.occurrence)
+    }
 }
 
 /// How many mutants were found.
@@ -85,10 +95,32 @@ impl Score {
         score
     }
 
-    /// Whether enough were found of those that can be found and are judged.
+    /// Whether all are judged to the end and enough were found of those that can be found.
     #[must_use]
     pub fn is_enough(&self) -> bool {
-        self.found > 0 && self.found * 100 >= (self.found + self.missed) * FOUND_MIN_PERCENT
+        let is_finished = self.waiting == 0;
+        is_finished && self.found > 0 && self.found * 100 >= (self.found + self.missed) * FOUND_MIN_PERCENT
+    }
+}
+
+impl fmt::Display for Score {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self {
+            found,
+            missed,
+            equivalent,
+            waiting,
+        } = self;
+        let judged = found + missed + equivalent;
+        match waiting {
+            0 => write!(f, "Finished: all {judged} mutants are judged to the end")?,
+            _ => write!(
+                f,
+                "Not finished: {waiting} of {} mutants are not judged to the end",
+                judged + waiting
+            )?,
+        }
+        write!(f, ". Judged: {found} found, {missed} missed, {equivalent} equivalent.")
     }
 }
 
@@ -135,17 +167,22 @@ fn heading(results: &Results, score: Score) -> String {
     });
     let mut text = format!(
         "# Mutants\n\n\
+         {score}\n\n\
          A mutant is the firmware with one small error: a comparison turned round, a latch forgotten, a limit dropped. Tests \
          that are\nworth something find it. `etherpen-mutants` wrote this file; it says which test or campaign found which \
-         mutant.\n\n\
+         mutant,\nwhich mutants survive, and which are not judged to the end.\n\n\
          ```\n\
-         cargo run -p etherpen-mutants -- --seed {seed} --report docs/mutants.md   # goes on where it was interrupted\n\
+         cargo run -p etherpen-mutants -- --seed {seed} --report docs/mutants.md   # goes on if no file has changed\n\
+         cargo run -p etherpen-mutants -- --seed {seed} --fresh                    # judges all mutants again\n\
          cargo run -p etherpen-mutants -- --seed {seed} --only 17                  # one mutant again\n\
          cargo run -p etherpen-mutants -- --seed {seed} --list                     # the mutants of a seed\n\
          ```\n\n\
          A seed chooses the mutants, spread over operators and files. All are compiled into one copy of the sources, and an\n\
          environment variable turns one of them on. The tests of its part look at it first, the quickest first, then one robot\n\
-         hour of [campaign](campaign.md). A judge that takes more than five times as long as without a mutant has found it.\n\n\
+         hour of [campaign](campaign.md). A test that fails and a seed that breaks a rule find the mutant. So does a judge that\n\
+         crashes, or takes 20 s more than five times its time without a mutant; it must pass without the mutant right after that.\n\n\
+         Outcomes are valid for the files they were made with. Once a file that git does not ignore has changed, other than this one\n\
+         and the reasons of survivors, every mutant is judged again.\n\n\
          An equivalent mutant does what the original does: no test can find it.\n\n\
          | seed | mutants | found | by tests | by campaigns | missed | equivalent | not judged to the end |\n\
          |---|---|---|---|---|---|---|---|\n\
@@ -181,7 +218,7 @@ fn row(mutant: &Mutant, reasons: &[Reason]) -> String {
         None => mutant.passed.to_string(),
     };
     let operator = mutant.operator.name();
-    let change = mutant.change.replace('|', "\\|");
+    let change = mutant.numbered_change().replace('|', "\\|");
     format!("| {number} | `{file}`: `{function}` | {operator} | {change} | {last} |")
 }
 
@@ -198,6 +235,7 @@ mod tests {
             function: "A::f".to_owned(),
             operator: Operator::Side,
             change: format!("`b{number} || c` left out"),
+            occurrence: None,
             passed: 0,
             outcome,
         }
@@ -227,12 +265,38 @@ mod tests {
         ] {
             assert!(text.lines().any(|other| other == line), "{line}\n{text}");
         }
+        let first = "# Mutants\n\nNot finished: 1 of 3 mutants are not judged to the end. Judged: 1 found, 0 missed, 1 equivalent.\n";
+        assert!(text.starts_with(first), "{text}");
         let without = document(&results, &[]);
         assert!(without.contains("| no reason known |"));
+        results.mutants.truncate(2);
+        let first =
+            "# Mutants\n\nFinished: all 2 mutants are judged to the end. Judged: 1 found, 1 missed, 0 equivalent.\n";
+        assert!(document(&results, &[]).starts_with(first));
     }
 
     #[test]
-    fn ninety_five_of_a_hundred_that_can_be_found_are_enough() {
+    fn a_reason_belongs_to_one_of_several_equal_changes() {
+        let listed = "[[survivor]]\nfile = 'src/a.rs'\nfunction = 'A::f'\nchange = '`b2 || c` left out'\n\
+                      occurrence = 2\nequivalent = true\nreason = 'equal'\n";
+        let numbered = reasons(listed).unwrap();
+        let of_any = reasons(&listed.replace("occurrence = 2\n", "")).unwrap();
+        let [first, second] = [1, 2].map(|occurrence| Mutant {
+            occurrence: Some(occurrence),
+            ..mutant(2, Some(Outcome::Survived))
+        });
+        assert!(reason_of(&first, &numbered).is_none() && reason_of(&second, &numbered).is_some());
+        assert!(reason_of(&second, &of_any).is_none() && reason_of(&mutant(2, None), &of_any).is_some());
+        let mutants = [first, second];
+        let score = Score::of(&mutants, &numbered);
+        assert_eq!((score.missed, score.equivalent), (1, 1));
+        let line = "| 2 | `src/a.rs`: `A::f` | condition dropped | `b2 \\|\\| c` left out (occurrence 2) | equivalent: equal |";
+        assert_eq!(row(&mutants[1], &numbered), line);
+        assert_eq!(numbered[0].numbered_change(), mutants[1].numbered_change());
+    }
+
+    #[test]
+    fn ninety_five_of_a_hundred_that_can_be_found_are_enough_once_none_waits() {
         let score = |found, missed, equivalent| Score {
             found,
             missed,
@@ -241,6 +305,11 @@ mod tests {
         };
         assert!(score(95, 5, 0).is_enough() && score(1, 0, 99).is_enough());
         assert!(!score(94, 6, 0).is_enough() && !score(0, 0, 100).is_enough());
+        let unfinished = Score {
+            waiting: 1,
+            ..score(99, 0, 0)
+        };
+        assert!(!unfinished.is_enough());
     }
 
     #[test]

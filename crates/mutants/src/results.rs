@@ -42,10 +42,13 @@ pub struct Mutant {
     pub operator: Operator,
     /// The change in words.
     pub change: String,
+    /// Number of this change, from 1, among equal changes in the same function; `None` if there is only one.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub occurrence: Option<u32>,
     /// Number of judges that found nothing.
     #[serde(default)]
     pub passed: usize,
-    /// What became of it; `None` if it was not judged yet.
+    /// What became of it; `None` if it is not judged to the end.
     pub outcome: Option<Outcome>,
 }
 
@@ -57,14 +60,29 @@ impl Mutant {
             function: site.function.clone(),
             operator: site.operator,
             change: site.change.clone(),
+            occurrence: site.occurrence,
             passed: 0,
             outcome: None,
         }
     }
 
     fn is_at(&self, site: &Site) -> bool {
-        let own = (&self.file, &self.function, self.operator, &self.change);
-        own == (&site.file, &site.function, site.operator, &site.change)
+        let own = (&self.file, &self.function, self.operator, &self.change, self.occurrence);
+        own == (&site.file, &site.function, site.operator, &site.change, site.occurrence)
+    }
+
+    /// The change in words, with its number where the function has several equal ones.
+    #[must_use]
+    pub fn numbered_change(&self) -> String {
+        numbered(&self.change, self.occurrence)
+    }
+}
+
+/// A change in words, with its number if it has one.
+pub(crate) fn numbered(change: &str, occurrence: Option<u32>) -> String {
+    match occurrence {
+        Some(occurrence) => format!("{change} (occurrence {occurrence})"),
+        None => change.to_owned(),
     }
 }
 
@@ -75,8 +93,9 @@ pub struct Results {
     pub seed: u64,
     /// How many were wanted.
     pub count: usize,
-    /// Hash of the mutated code.
-    pub code: u64,
+    /// Hash of the files that git does not ignore: code, tests and campaigns. Outcomes and times are valid for these
+    /// files only.
+    pub files: u64,
     /// Sites whose mutants do not compile.
     pub uncompilable: Vec<usize>,
     /// Time of each judge without a mutant, s.
@@ -86,35 +105,40 @@ pub struct Results {
 }
 
 impl Results {
-    /// Nothing known.
+    /// Results before the first mutant is chosen.
     #[must_use]
-    pub fn new(seed: u64, count: usize, code: u64) -> Self {
+    pub fn new(seed: u64, count: usize, files: u64) -> Self {
         Self {
             seed,
             count,
-            code,
+            files,
             uncompilable: Vec::new(),
             baselines_s: BTreeMap::new(),
             mutants: Vec::new(),
         }
     }
 
-    /// Reads a file; begins anew if it does not exist or belongs to another seed, count or code.
+    /// Reads a file of results. Starts from nothing if the file does not exist or belongs to another seed, count or
+    /// hash of the files: a test that has changed may find other mutants and take another time.
     ///
     /// # Errors
     /// The file cannot be read, or holds no results.
-    pub fn read(file: &Path, seed: u64, count: usize, code: u64) -> Result<Self, String> {
+    pub fn read(file: &Path, seed: u64, count: usize, files: u64) -> Result<Self, String> {
         let text = match std::fs::read_to_string(file) {
             Ok(text) => text,
-            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Self::new(seed, count, code)),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Self::new(seed, count, files)),
             Err(error) => return Err(format!("{}: {error}", file.display())),
         };
         let read: Self = serde_json::from_str(&text)
-            .map_err(|error| format!("{} holds no results: {error}. Try: remove it", file.display()))?;
-        match (read.seed, read.count, read.code) == (seed, count, code) {
-            true => Ok(read),
-            false => Ok(Self::new(seed, count, code)),
+            .map_err(|error| format!("{} holds no results: {error}. Try: --fresh", file.display()))?;
+        if (read.seed, read.count, read.files) == (seed, count, files) {
+            return Ok(read);
         }
+        eprintln!(
+            "{} belongs to another seed, count or state of the files: every mutant is judged again",
+            file.display()
+        );
+        Ok(Self::new(seed, count, files))
     }
 
     /// Writes the file: completely or not at all.
@@ -156,22 +180,29 @@ mod tests {
             range: 0..1,
             replacement: String::new(),
             change: change.to_owned(),
+            occurrence: None,
         }
     }
 
     #[test]
-    fn a_run_goes_on_where_it_ended_and_begins_anew_for_another_seed_or_code() {
+    fn a_run_goes_on_where_it_ended_and_judges_all_again_for_another_seed_count_or_state_of_the_files() {
         let folder = std::env::temp_dir().join(format!("etherpen-mutants-{}", std::process::id()));
         std::fs::create_dir_all(&folder).unwrap();
         let file = folder.join("results.json");
         let mut results = Results::read(&file, 1, 2, 3).unwrap();
         results.take(&[&site("one"), &site("two")]);
+        results.mutants[0].outcome = Some(Outcome::Found(Finding {
+            judge: "src".to_owned(),
+            what: "tests::one".to_owned(),
+            after_s: 0.5,
+        }));
         results.mutants[1].outcome = Some(Outcome::Survived);
+        results.baselines_s.insert("src".to_owned(), 7.0);
         results.write(&file).unwrap();
         assert_eq!(Results::read(&file, 1, 2, 3).unwrap(), results);
-        for (seed, count, code) in [(2, 2, 3), (1, 3, 3), (1, 2, 4)] {
-            let other = Results::read(&file, seed, count, code).unwrap();
-            assert_eq!(other, Results::new(seed, count, code));
+        for (seed, count, files) in [(2, 2, 3), (1, 3, 3), (1, 2, 4)] {
+            let other = Results::read(&file, seed, count, files).unwrap();
+            assert_eq!(other, Results::new(seed, count, files));
         }
         std::fs::write(&file, "nonsense").unwrap();
         assert!(Results::read(&file, 1, 2, 3).unwrap_err().contains("holds no results"));
@@ -186,5 +217,20 @@ mod tests {
         results.take(&[&site("two"), &site("three")]);
         let outcomes: Vec<_> = results.mutants.iter().map(|mutant| mutant.outcome.clone()).collect();
         assert_eq!(outcomes, [Some(Outcome::Survived), None]);
+    }
+
+    #[test]
+    fn two_equal_changes_of_one_function_keep_their_own_outcomes() {
+        let [first, second] = [1, 2].map(|occurrence| Site {
+            occurrence: Some(occurrence),
+            ..site("one")
+        });
+        let mut results = Results::new(1, 2, 3);
+        results.take(&[&first, &second]);
+        results.mutants[1].outcome = Some(Outcome::Survived);
+        results.take(&[&second, &first]);
+        let outcomes: Vec<_> = results.mutants.iter().map(|mutant| mutant.outcome.clone()).collect();
+        assert_eq!(outcomes, [Some(Outcome::Survived), None]);
+        assert_eq!(results.mutants[0].numbered_change(), "one (occurrence 2)");
     }
 }

@@ -13,6 +13,8 @@ use std::path::{Path, PathBuf};
 
 /// Reasons of survivors, from the root of the sources.
 const REASONS: &str = "crates/mutants/reasons.toml";
+/// The document on the mutants, from the root of the sources.
+const DOCUMENT: &str = "docs/mutants.md";
 
 /// What to do.
 #[derive(Clone, Debug)]
@@ -23,6 +25,8 @@ pub struct Options {
     pub count: usize,
     /// File of results; by default below cargo's output folder.
     pub results: Option<PathBuf>,
+    /// Judge all mutants, even if they were judged.
+    pub fresh: bool,
     /// Judge this mutant alone, even if it was judged.
     pub only: Option<u32>,
     /// Print the mutants and judge none.
@@ -31,7 +35,8 @@ pub struct Options {
     pub report: Option<PathBuf>,
 }
 
-/// Does what the options say. Returns whether enough mutants were found, as far as they are judged.
+/// Does what the options say. Returns whether all mutants are judged and enough were found; with `only` or `list`,
+/// `true`.
 ///
 /// # Errors
 /// What cannot be read, built, started or written.
@@ -44,10 +49,17 @@ pub fn run(options: &Options) -> Result<bool, String> {
     };
     let folder = target.join("mutants");
     std::fs::create_dir_all(&folder).map_err(|error| format!("{}: {error}", folder.display()))?;
-    let tracked = sources::tracked(&root)?;
-    let sources = sources::read(&root, &tracked)?;
+    let files = sources::files(&root)?;
+    let sources = sources::read(&root, &files)?;
     let file = options.results.clone().unwrap_or_else(|| folder.join("results.json"));
-    let mut results = Results::read(&file, options.seed, options.count, sources.code)?;
+    // What this program writes, and the reasons, change no outcome.
+    let mut left_out = vec![root.join(REASONS), root.join(DOCUMENT), file.clone()];
+    left_out.extend(options.report.clone());
+    let hash = sources::hash(&root, &files, &left_out)?;
+    let mut results = match options.fresh {
+        true => Results::new(options.seed, options.count, hash),
+        false => Results::read(&file, options.seed, options.count, hash)?,
+    };
     results.take(&chosen_sites(&sources, &results));
     eprintln!(
         "seed {}: {} of {} places, {} judged",
@@ -60,13 +72,13 @@ pub fn run(options: &Options) -> Result<bool, String> {
     if options.list {
         list(&results);
     } else if is_waiting || options.only.is_some() {
-        let mut copy = Copy::make(&root, &tracked, &sources, folder.join("source"))?;
+        let mut copy = Copy::make(&root, &files, &sources, folder.join("source"))?;
         let judges = build(&mut copy, &folder.join("build"), &sources, &mut results)?;
         results.write(&file)?;
         judge_all(&judges, options.only, &mut results, &file)?;
     }
     let is_enough = finish(&root, options, &results)?;
-    Ok(is_enough || options.list)
+    Ok(is_enough || options.list || options.only.is_some())
 }
 
 fn chosen_sites<'a>(sources: &'a Sources, results: &Results) -> Vec<&'a Site> {
@@ -174,10 +186,7 @@ fn finish(root: &Path, options: &Options, results: &Results) -> Result<bool, Str
         eprintln!("survives: {}\n    {reason}", shown(mutant));
     }
     let score = Score::of(&results.mutants, &reasons);
-    eprintln!(
-        "seed {}: {} found, {} missed, {} equivalent, {} not judged to the end",
-        results.seed, score.found, score.missed, score.equivalent, score.waiting
-    );
+    eprintln!("seed {}: {score}", results.seed);
     if let Some(document) = &options.report {
         let text = report::document(results, &reasons);
         std::fs::write(document, text).map_err(|error| format!("{}: {error}", document.display()))?;
@@ -189,6 +198,9 @@ fn shown(mutant: &Mutant) -> String {
     let operator = mutant.operator.name();
     format!(
         "{} {}: {}: {operator}: {}",
-        mutant.number, mutant.file, mutant.function, mutant.change
+        mutant.number,
+        mutant.file,
+        mutant.function,
+        mutant.numbered_change()
     )
 }

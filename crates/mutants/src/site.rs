@@ -78,6 +78,8 @@ pub(crate) struct Site {
     pub replacement: String,
     /// The change in words: `a < b` becomes `a >= b`.
     pub change: String,
+    /// Number of this change, from 1, among equal changes in the same function; `None` if there is only one.
+    pub occurrence: Option<u32>,
 }
 
 impl Site {

@@ -1,11 +1,11 @@
-//! The tracked files of the sources, and all sites in those that are mutated.
+//! The files that git does not ignore, and all sites in those that are mutated.
 
 use crate::operators;
 use crate::parts::part_of;
 use crate::site::Site;
 use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// The sources that are mutated.
@@ -14,15 +14,13 @@ pub(crate) struct Sources {
     pub texts: BTreeMap<String, String>,
     /// All sites, file by file.
     pub sites: Vec<Site>,
-    /// Hash of the code without its tests; the same code has the same hash with one version of Rust.
-    pub code: u64,
 }
 
-/// Files under version control, from the root, as they lie in the folder now.
+/// Paths of the files that git does not ignore, from the root.
 ///
 /// # Errors
 /// `git` cannot list them.
-pub(crate) fn tracked(root: &Path) -> Result<Vec<String>, String> {
+pub(crate) fn files(root: &Path) -> Result<Vec<String>, String> {
     let output = Command::new("git")
         .args(["ls-files", "-z", "--cached", "--others", "--exclude-standard"])
         .current_dir(root)
@@ -37,14 +35,32 @@ pub(crate) fn tracked(root: &Path) -> Result<Vec<String>, String> {
     Ok(names.map(str::to_owned).collect())
 }
 
+/// Hash of the names and contents of files, without those at the paths `left_out`. One version of Rust always gives the
+/// same files the same hash.
+///
+/// # Errors
+/// A file cannot be read.
+pub(crate) fn hash(root: &Path, files: &[String], left_out: &[PathBuf]) -> Result<u64, String> {
+    let left_out: Vec<PathBuf> = left_out.iter().filter_map(|path| path.canonicalize().ok()).collect();
+    let mut hasher = DefaultHasher::new();
+    for file in files {
+        let path = root.join(file);
+        let shown = |error: std::io::Error| format!("{file}: {error}");
+        if !left_out.contains(&path.canonicalize().map_err(shown)?) {
+            (file, std::fs::read(&path).map_err(shown)?).hash(&mut hasher);
+        }
+    }
+    Ok(hasher.finish())
+}
+
 /// Reads the mutated files, without those that are only tests.
 ///
 /// # Errors
 /// A file cannot be read or is not Rust.
-pub(crate) fn read(root: &Path, tracked: &[String]) -> Result<Sources, String> {
+pub(crate) fn read(root: &Path, files: &[String]) -> Result<Sources, String> {
     let mut texts = BTreeMap::new();
     let mut tests = Vec::new();
-    for file in tracked.iter().filter(|file| file.ends_with(".rs")) {
+    for file in files.iter().filter(|file| file.ends_with(".rs")) {
         if part_of(file).is_none() && !file.ends_with("/lib.rs") {
             continue;
         }
@@ -61,18 +77,10 @@ pub(crate) fn read(root: &Path, tracked: &[String]) -> Result<Sources, String> {
     };
     texts.retain(|file, _| part_of(file).is_some() && !is_test(file));
     let mut sites = Vec::new();
-    let mut hasher = DefaultHasher::new();
     for (file, text) in &texts {
         sites.extend(operators::sites(file, text).map_err(|error| format!("{file}: {error}"))?);
-        // The tests are at the foot.
-        let code = text.split("\n#[cfg(test)]\nmod ").next();
-        (file, code).hash(&mut hasher);
     }
-    Ok(Sources {
-        texts,
-        sites,
-        code: hasher.finish(),
-    })
+    Ok(Sources { texts, sites })
 }
 
 /// Path of a module's file or folder, without `.rs`, as the file that declares the module sees it.
@@ -98,10 +106,32 @@ mod tests {
     }
 
     #[test]
+    fn the_hash_changes_with_a_test_and_not_with_a_file_that_is_left_out() {
+        let root = std::env::temp_dir().join(format!("etherpen-mutants-hash-{}", std::process::id()));
+        std::fs::create_dir_all(root.join("tests")).unwrap();
+        let files = ["tests/a.rs".to_owned(), "report.md".to_owned()];
+        let left_out = [root.join("tests/../report.md"), root.join("does not exist")];
+        let hash_of = |test: &str, report: &str| {
+            std::fs::write(root.join(&files[0]), test).unwrap();
+            std::fs::write(root.join(&files[1]), report).unwrap();
+            hash(&root, &files, &left_out).unwrap()
+        };
+        let before = hash_of("assert!(true)", "one");
+        assert_eq!(hash_of("assert!(true)", "two"), before);
+        assert_ne!(hash_of("assert!(a)", "one"), before);
+        assert!(
+            hash(&root, &["gone.rs".to_owned()], &[])
+                .unwrap_err()
+                .contains("gone.rs")
+        );
+        std::fs::remove_dir_all(&root).unwrap();
+    }
+
+    #[test]
     fn every_part_has_sites_and_no_test_has_one() {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
-        let tracked = tracked(&root).unwrap();
-        let sources = read(&root, &tracked).unwrap();
+        let files = files(&root).unwrap();
+        let sources = read(&root, &files).unwrap();
         assert!(sources.sites.len() > 1_000, "{} sites", sources.sites.len());
         let has_none = |source: &&&str| !sources.sites.iter().any(|site| site.file.starts_with(**source));
         let listed = crate::parts::PARTS.iter().flat_map(|part| part.sources);

@@ -1,7 +1,8 @@
 //! What the bus's counters have to show at the end of an episode, from what was done to the frames.
 //!
 //! Each fault of a frame costs exactly one event of its kind. Which frames are hit is known only while the faults are of
-//! one kind: two faults may hit the same frame. Episodes in which anything else disturbs the bus are not counted.
+//! one kind: two faults may hit the same frame. Episodes in which anything else disturbs the bus are not counted, nor
+//! are those with frames that are cut, delayed or get another working counter, and those over UDP.
 
 use super::episode::{Episode, What};
 use etherpen::config::{Config, Transport};

@@ -4,7 +4,7 @@
 
 use super::world::Frame;
 use super::{Rule, robot};
-use crate::cell::{Fault, PEN_SPRING_MM, ResolverFault, Truth};
+use crate::cell::{Fault, PEN_SPRING_MM, Product, ResolverFault, SiiFault, Truth};
 use etherpen::application::Mode;
 use etherpen::config::{AxisMode, Config, Transport};
 use etherpen::link::frame::{Decoder, decode};
@@ -33,8 +33,26 @@ const INK_MISSING_BY_TORQUE: f64 = 0.01;
 const INK_MISSING_BY_TORQUE_MM: f64 = 1.0;
 
 /// How far the tool may be astray in torque mode while a feedback is not true, mm: a slip is not noticed there
-/// (`docs/faults.md`), so that only the work area bounds it.
+/// (`docs/faults.md`), so that only the joints' ranges bound it.
 const ASTRAY_BY_TORQUE_MM: f64 = 600.0;
+
+/// How long the bus needs after a disturbance was put right, ms.
+const AFTER_REPAIR_MS: u64 = 3_000;
+/// How long a slave counts as disturbed that refuses its next request, ms.
+const REFUSAL_MS: u64 = 1_000;
+
+/// A disturbance of the machine that lasts until it is put right.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Open {
+    /// A cable is pulled.
+    Cut,
+    /// This slave is bypassed.
+    Removed(usize),
+    /// This slave is another product.
+    Swapped(usize),
+    /// This slave's information memory is faulty.
+    Memory(usize),
+}
 
 /// The monitor, and what it has to be told in this millisecond.
 pub(super) struct Judge {
@@ -48,6 +66,8 @@ pub(super) struct Judge {
     ends: Vec<(u64, Input)>,
     /// Disturbances of the machine, and of each axis's feedback, that have not ended.
     disturbances: u32,
+    /// Those among them that end only when they are put right.
+    open: Vec<Open>,
     untrue: [u32; AXES],
     axes: usize,
     configured: bool,
@@ -67,6 +87,7 @@ impl Judge {
             stop_open: false,
             ends: Vec::new(),
             disturbances: 0,
+            open: Vec::new(),
             untrue: [0; AXES],
             axes: config.axes.len(),
             configured: false,
@@ -190,11 +211,21 @@ impl Judge {
                 self.ends_after(now_ms, lasts_ms, deaf(false));
                 self.disturbed(now_ms, Some(lasts_ms));
             }
-            Fault::Join | Fault::Insert(_) => {}
-            // What is cut, removed or exchanged stays so.
-            Fault::Cut(_) | Fault::Remove(_) | Fault::Swap(..) | Fault::Sii(..) | Fault::Refuse(..) => {
-                self.disturbed(now_ms, None);
-            }
+            Fault::Cut(_) => self.opens(now_ms, Open::Cut),
+            Fault::Remove(slave) => self.opens(now_ms, Open::Removed(slave)),
+            Fault::Join => self.closes(now_ms, Open::Cut),
+            Fault::Insert(slave) => self.closes(now_ms, Open::Removed(slave)),
+            // A slave that is exchanged, if only for one of its own kind, is bypassed for a moment.
+            Fault::Swap(slave, product) => match product {
+                Product::Ax2000 => {
+                    self.disturbed(now_ms, Some(AFTER_REPAIR_MS));
+                    self.closes(now_ms, Open::Swapped(slave));
+                }
+                _ => self.opens(now_ms, Open::Swapped(slave)),
+            },
+            Fault::Sii(slave, SiiFault::Whole) => self.closes(now_ms, Open::Memory(slave)),
+            Fault::Sii(slave, _) => self.opens(now_ms, Open::Memory(slave)),
+            Fault::Refuse(..) => self.disturbed(now_ms, Some(REFUSAL_MS)),
             Fault::Stall(lasts_ms)
             | Fault::Power(_, lasts_ms)
             | Fault::Silence(_, lasts_ms)
@@ -239,6 +270,21 @@ impl Judge {
         }
     }
 
+    /// The machine is disturbed until this is put right.
+    fn opens(&mut self, now_ms: u32, what: Open) {
+        self.open.push(what);
+        self.disturbed(now_ms, None);
+    }
+
+    /// This was put right; the bus needs a while to come back.
+    fn closes(&mut self, now_ms: u32, what: Open) {
+        let before = self.open.len();
+        self.open.retain(|open| *open != what);
+        for _ in self.open.len()..before {
+            self.ends_after(now_ms, AFTER_REPAIR_MS, Input::Machine { disturbed: false });
+        }
+    }
+
     fn ends_after(&mut self, now_ms: u32, lasts_ms: u64, end: Input) {
         self.ends.push((u64::from(now_ms).saturating_add(lasts_ms) + 1, end));
     }
@@ -246,6 +292,7 @@ impl Judge {
     /// All faults have been ended.
     pub(super) fn healed(&mut self) {
         self.ends.clear();
+        self.open.clear();
         (self.disturbances, self.untrue) = (0, [0; AXES]);
         for axis in 0..self.axes {
             self.inputs.push(Input::Feedback { axis, disturbed: false });
@@ -469,5 +516,41 @@ fn cell(config: &Config) -> monitor::Cell {
         },
         raw_wire: config.bus.transport == Transport::Raw,
         ..usual
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::trouble;
+    use super::*;
+
+    fn fault(words: &str) -> Fault {
+        words.parse().expect("words of the script")
+    }
+
+    #[test]
+    fn what_was_put_right_is_judged_as_sound_again() {
+        let config = Config::default();
+        for words in [
+            "cut 2",
+            "remove 3",
+            "swap 2 cia402",
+            "swap 2 ax2000",
+            "sii 1 blank",
+            "refuse 1 op 0x001A",
+            "slip 2 10 50",
+        ] {
+            let mut judge = Judge::new(&config);
+            for words in [Some(words.to_owned()), trouble::end(words)].into_iter().flatten() {
+                judge.injected(fault(&words), 1, 1_000);
+            }
+            judge.end_disturbances(1_000 + AFTER_REPAIR_MS + 1);
+            let left = (judge.disturbances, judge.untrue, judge.open.len());
+            assert_eq!(left, (0, [0; AXES], 0), "{words}");
+        }
+        let mut judge = Judge::new(&config);
+        judge.injected(fault("remove 3"), 1, 1_000);
+        judge.end_disturbances(1_000_000);
+        assert_eq!(judge.disturbances, 1, "it is still missing");
     }
 }

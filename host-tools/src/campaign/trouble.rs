@@ -17,10 +17,11 @@ pub(super) fn of_frames(chance: &mut Chance) -> String {
         2 => format!("delay {}", 1 + chance.below(4)),
         3 => "duplicate".into(),
         4 => format!("truncate {}", chance.below(80)),
-        5 => format!("overlong {}", chance.below(60)),
+        5 => format!("overlong {}", 1 + chance.below(60)),
         6 => format!("index {}", 1 + chance.below(200)),
         7 => format!("counter {}", chance.one_of(&[-2, -1, 1, 2, 200])),
-        8 => format!("type {}", chance.below(16)),
+        // Type 1 is that of every sound reply.
+        8 => format!("type {}", (2 + chance.below(15)) % 16),
         9 => "more".into(),
         10 => "circulate".into(),
         11 => "vlan".into(),
@@ -68,7 +69,7 @@ pub(super) fn end(words: &str) -> Option<String> {
     }
 }
 
-/// The words that end a fault which does not end by itself and needs nobody who puts it right, for one in two of these.
+/// The words that end a fault which does not end by itself, for one in two of those that leave the robot where it was.
 pub(super) fn end_of(chance: &mut Chance, words: &str) -> Option<String> {
     let end = end(words).filter(|end| !end.starts_with("swap") && !end.starts_with("stuck"));
     end.filter(|_| chance.one_in(2))

@@ -33,7 +33,9 @@ pub(super) struct Arguments {
     /// Seed of the planner's path and of the moments at which the loads meet the cycle.
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
-    /// Keep this seed's runs in a folder, and report all runs in it as one. What is there already is not measured again.
+    /// Keep this seed's runs in a folder, and report all runs in it as one. A seed that the folder has is not measured
+    /// again. Runs of other options, another version or another firmware image are refused: use another folder, or
+    /// remove the file.
     #[arg(long, value_name = "DIR")]
     merge: Option<PathBuf>,
     /// Print the figures and the curves as JSON on stdout.

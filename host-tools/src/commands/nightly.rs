@@ -73,7 +73,10 @@ fn steps() -> Vec<Step> {
         );
         Step::new(&format!("fuzz-{target}"), &arguments)
     }));
-    steps.push(Step::new("mutants", "run -p etherpen-mutants -- --seed 1 --count 100"));
+    steps.push(Step::new(
+        "mutants",
+        "run -p etherpen-mutants -- --seed 1 --count 100 --fresh",
+    ));
     steps.push(Step::new(
         "certificates",
         "test --release -p etherpen-certify -- --ignored --nocapture",

@@ -2,9 +2,83 @@
 //!
 //! Invariant: a quantile is never too low: it is the end of its bin, or the largest value if that is less.
 
-use etherpen::measurement::{MeasurementAnswer, MeasurementRequest, Quantity, lower_bound};
+use etherpen::measurement::{BINS, MeasurementAnswer, MeasurementRequest, Quantity, lower_bound};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
+use std::fmt;
+
+/// Readings from a file that contradict themselves.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ReadingsError {
+    /// The number of distributions is not the number of quantities.
+    Quantities {
+        /// Quantities that the firmware measures.
+        expected: usize,
+        /// Distributions in the file.
+        actual: usize,
+    },
+    /// The counter's rate is 0, or differs between distributions.
+    CountsPerS {
+        /// The quantity.
+        quantity: Quantity,
+        /// Counts per second of the first distribution.
+        expected: u32,
+        /// Counts per second of this distribution.
+        actual: u32,
+    },
+    /// A bin is empty, not above the bin before it, or beyond the last bin.
+    Bin {
+        /// The quantity.
+        quantity: Quantity,
+        /// Number of the bin.
+        bin: u8,
+        /// Values in it.
+        count: u32,
+    },
+    /// The smallest value is above the largest.
+    Range {
+        /// The quantity.
+        quantity: Quantity,
+        /// Smallest value, counts.
+        smallest: u32,
+        /// Largest value, counts.
+        largest: u32,
+    },
+}
+
+impl fmt::Display for ReadingsError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Quantities { expected, actual } => {
+                write!(f, "{actual} distributions instead of {expected}")
+            }
+            Self::CountsPerS {
+                quantity,
+                expected,
+                actual,
+            } => write!(
+                f,
+                "{quantity:?}: the counter has {actual} counts per second, the first distribution's {expected}; both \
+                 must be equal and above 0"
+            ),
+            Self::Bin { quantity, bin, count } => write!(
+                f,
+                "{quantity:?}: bin {bin} with {count} values is empty, out of order or beyond the last bin, {}",
+                BINS - 1
+            ),
+            Self::Range {
+                quantity,
+                smallest,
+                largest,
+            } => write!(
+                f,
+                "{quantity:?}: the smallest value, {smallest} counts, is above the largest, {largest} counts"
+            ),
+        }
+    }
+}
+
+impl std::error::Error for ReadingsError {}
 
 /// A histogram read from the firmware; values are counts of the board's counter.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -42,6 +116,27 @@ impl Distribution {
             smallest: one.smallest.min(other.smallest),
             sum: one.sum.saturating_add(other.sum),
         }
+    }
+
+    /// Checks what the evaluation relies on: bins in order and in range, and the smallest value not above the largest.
+    fn check(&self, quantity: Quantity) -> Result<(), ReadingsError> {
+        let mut lowest = 0;
+        for &(bin, count) in &self.bins {
+            let number = usize::from(bin);
+            if count == 0 || !(lowest..BINS).contains(&number) {
+                return Err(ReadingsError::Bin { quantity, bin, count });
+            }
+            lowest = number + 1;
+        }
+        let (smallest, largest) = (self.smallest, self.largest);
+        if !self.bins.is_empty() && smallest > largest {
+            return Err(ReadingsError::Range {
+                quantity,
+                smallest,
+                largest,
+            });
+        }
+        Ok(())
     }
 
     /// Number of values.
@@ -111,6 +206,38 @@ impl Readings {
                 .map(|index| Distribution::merged(&of(one, index), &of(other, index)))
                 .collect(),
         }
+    }
+
+    /// Checks that the firmware can have recorded these readings: call it on readings from a file before they are
+    /// evaluated or merged.
+    ///
+    /// # Errors
+    /// The first contradiction.
+    pub fn check(&self) -> Result<(), ReadingsError> {
+        if self.distributions.len() != Quantity::ALL.len() {
+            return Err(ReadingsError::Quantities {
+                expected: Quantity::ALL.len(),
+                actual: self.distributions.len(),
+            });
+        }
+        let expected = self.counts_per_s().unwrap_or(0);
+        for (quantity, distribution) in Quantity::ALL.into_iter().zip(&self.distributions) {
+            let actual = distribution.counts_per_s;
+            if actual == 0 || actual != expected {
+                return Err(ReadingsError::CountsPerS {
+                    quantity,
+                    expected,
+                    actual,
+                });
+            }
+            distribution.check(quantity)?;
+        }
+        Ok(())
+    }
+
+    /// Counts per second of the board's counter; `None` without any distribution.
+    pub fn counts_per_s(&self) -> Option<u32> {
+        self.distributions.first().map(|distribution| distribution.counts_per_s)
     }
 
     /// The histogram of a quantity; `None` if the quantity never occurred.
@@ -247,6 +374,58 @@ mod tests {
         }
         assert_eq!(sample.above(1_000), 0);
         assert!(sample.above(900) >= 100);
+    }
+
+    #[test]
+    fn readings_that_the_firmware_cannot_have_recorded_are_refused() {
+        let measurements = Measurements::new();
+        measurements.set_counts_per_s(25_000_000);
+        (1..100).for_each(|value| measurements.record(Quantity::TotalDelay, value));
+        let good = read(&measurements);
+        assert_eq!(good.check(), Ok(()));
+        assert_eq!(good.counts_per_s(), Some(25_000_000));
+        let quantity = Quantity::TotalDelay;
+        let after = |change: &dyn Fn(&mut Distribution)| {
+            let mut bad = good.clone();
+            change(&mut bad.distributions[quantity as usize]);
+            bad.check()
+        };
+        assert_eq!(
+            after(&|distribution| distribution.smallest = 100),
+            Err(ReadingsError::Range {
+                quantity,
+                smallest: 100,
+                largest: 99
+            })
+        );
+        assert_eq!(
+            after(&|distribution| distribution.bins.swap(0, 1)),
+            Err(ReadingsError::Bin {
+                quantity,
+                bin: 1,
+                count: 1
+            })
+        );
+        let last = BINS as u8;
+        for (bin, count) in [(last, 1), (last - 1, 0), (u8::MAX, 1)] {
+            assert_eq!(
+                after(&|distribution| distribution.bins.push((bin, count))),
+                Err(ReadingsError::Bin { quantity, bin, count })
+            );
+        }
+        assert_eq!(after(&|distribution| distribution.bins.push((last - 1, 1))), Ok(()));
+        for actual in [0, 1] {
+            assert_eq!(
+                after(&|distribution| distribution.counts_per_s = actual),
+                Err(ReadingsError::CountsPerS {
+                    quantity,
+                    expected: 25_000_000,
+                    actual
+                })
+            );
+        }
+        assert!(read(&Measurements::new()).check().is_err(), "without a counter");
+        assert!(Readings::default().check().is_err(), "without any distribution");
     }
 
     #[test]

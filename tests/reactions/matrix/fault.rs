@@ -8,10 +8,20 @@ use host_tools::cell::{Fault, Product, ResolverFault};
 /// A fault of the matrix.
 pub(super) struct Trouble {
     pub(super) name: &'static str,
+    /// The drives that it hits, from 1; empty for faults of the bus, the board or the operator's line.
+    pub(super) hits: &'static [usize],
     /// How long it lasts, ms.
     pub(super) lasts_ms: u32,
     pub(super) begin: fn(&mut Robot),
     pub(super) end: fn(&mut Robot),
+}
+
+impl Trouble {
+    /// This fault as one that hits these drives.
+    const fn of_drives(mut self, hits: &'static [usize]) -> Self {
+        self.hits = hits;
+        self
+    }
 }
 
 /// Drive of the second axis, from 1.
@@ -37,6 +47,7 @@ fn true_again(robot: &mut Robot) {
 const fn of_feedback(name: &'static str, begin: fn(&mut Robot)) -> Trouble {
     Trouble {
         name,
+        hits: &[DRIVE],
         lasts_ms: 3_500,
         begin,
         end: true_again,
@@ -47,6 +58,7 @@ const fn of_feedback(name: &'static str, begin: fn(&mut Robot)) -> Trouble {
 const fn by_itself(name: &'static str, begin: fn(&mut Robot)) -> Trouble {
     Trouble {
         name,
+        hits: &[],
         lasts_ms: 0,
         begin,
         end: nothing,
@@ -56,6 +68,7 @@ const fn by_itself(name: &'static str, begin: fn(&mut Robot)) -> Trouble {
 const fn for_a_second(name: &'static str, begin: fn(&mut Robot), end: fn(&mut Robot)) -> Trouble {
     Trouble {
         name,
+        hits: &[],
         lasts_ms: 1_000,
         begin,
         end,
@@ -83,27 +96,33 @@ pub(super) static FAULTS: [Trouble; 25] = [
     ),
     by_itself("a drive without control supply for 300 ms", |robot| {
         robot.inject(Fault::Power(DRIVE, 300));
-    }),
+    })
+    .of_drives(&[DRIVE]),
     for_a_second(
         "a drive is taken out and put back",
         |robot| robot.inject(Fault::Remove(DRIVE)),
         |robot| robot.inject(Fault::Insert(DRIVE)),
-    ),
+    )
+    .of_drives(&[DRIVE]),
     for_a_second(
         "another product in a drive's place",
         |robot| robot.inject(Fault::Swap(DRIVE, Product::Cia402)),
         |robot| robot.inject(Fault::Swap(DRIVE, Product::Ax2000)),
-    ),
+    )
+    .of_drives(&[DRIVE]),
     by_itself("a drive falls back to SAFEOP", |robot| {
         robot.inject(Fault::Retreat(DRIVE, 0x001B));
-    }),
+    })
+    .of_drives(&[DRIVE]),
     by_itself("a drive's processor stands still for 900 ms", |robot| {
         robot.inject(Fault::Processor(DRIVE, 900));
-    }),
-    by_itself("a drive faults", |robot| robot.inject(Fault::Drive(DRIVE, 0x2310))),
+    })
+    .of_drives(&[DRIVE]),
+    by_itself("a drive faults", |robot| robot.inject(Fault::Drive(DRIVE, 0x2310))).of_drives(&[DRIVE]),
     by_itself("a drive without mains for 500 ms", |robot| {
         robot.inject(Fault::Mains(DRIVE, 500));
-    }),
+    })
+    .of_drives(&[DRIVE]),
     of_feedback("feedback frozen", frozen),
     of_feedback("feedback slips, half of the motion lost", |robot| {
         robot.inject(Fault::Resolver(DRIVE, ResolverFault::Slip(HALF), LONG_MS));
@@ -116,7 +135,8 @@ pub(super) static FAULTS: [Trouble; 25] = [
     }),
     of_feedback("feedback exchanged with another axis's", |robot| {
         robot.inject(Fault::Exchange(DRIVE, THIRD, LONG_MS));
-    }),
+    })
+    .of_drives(&[DRIVE, THIRD]),
     of_feedback("feedback noisy, 0.004 rad at most", |robot| {
         robot.inject(Fault::Resolver(DRIVE, ResolverFault::Noise(NOISE), LONG_MS));
     }),
@@ -137,6 +157,7 @@ pub(super) static FAULTS: [Trouble; 25] = [
     ),
     Trouble {
         name: "the trajectory task does not run for 20 ms",
+        hits: &[],
         lasts_ms: 20,
         begin: |robot| robot.surround(|around| around.trajectory_waits = true),
         end: |robot| robot.surround(|around| around.trajectory_waits = false),

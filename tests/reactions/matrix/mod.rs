@@ -1,15 +1,21 @@
 //! The fault matrix of `docs/faults.md`: each fault in each operating mode, at a low and at full speed.
 //!
-//! A cell is a robot that is brought into the mode, gets the fault, is watched until it stands, and is brought back when
-//! the fault has ended. When the reaction begins, when everything stands and how far the pen is astray is the cell's
-//! truth: its drives and motors. What the operator is told is the firmware's report.
+//! A cell of the matrix is a robot that is brought into the mode, gets the fault, is watched for 4 s, and is brought back
+//! when the fault has ended. The virtual cell's motors tell when everything stands and how far the pen is astray. The
+//! firmware's report tells what the operator reads.
+//!
+//! "Noticed after" ends with the first of two events: the firmware reports a new fault or a hold, or a drive that the
+//! fault does not hit begins to brake or loses power, by the controller's command or by its own watchdog. The state of
+//! the drive that the fault hits is the fault itself and does not count. A report counts when it leaves the board, so
+//! that the operator's unplugged cable does not delay it. While the robot stops, every drive brakes anyway; then a drive
+//! counts only when it goes into fault.
 
 mod fault;
 mod situation;
 
 use crate::STILL_RAD_S;
 use crate::robot::Robot;
-use etherpen::application::{Mode, Refusal};
+use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::messages::Command;
 use etherpen::robots::Position;
 use fault::{FAULTS, Trouble};
@@ -64,18 +70,57 @@ impl Outcome {
     }
 }
 
+fn drives(robot: &Robot) -> Vec<DriveState> {
+    robot.cell().slaves.iter().map(|slave| slave.drive).collect()
+}
+
+/// The robot before the fault.
+struct Before {
+    mode: Mode,
+    fault: Option<Fault>,
+    drives: Vec<DriveState>,
+}
+
+impl Before {
+    fn of(robot: &Robot, situation: &Situation) -> Self {
+        Self {
+            mode: situation.mode,
+            fault: situation.latched().or_else(|| robot.fault()),
+            drives: drives(robot),
+        }
+    }
+
+    /// Whether this is another fault than the one that was latched before.
+    fn is_new(&self, fault: Option<Fault>) -> bool {
+        fault.is_some() && fault != self.fault
+    }
+
+    /// Whether the board has reported a new fault or a hold.
+    fn has_reported(&self, robot: &Robot) -> bool {
+        robot.reported.as_ref().is_some_and(|status| {
+            let holds = status.mode == Mode::Holding && self.mode != Mode::Holding;
+            holds || self.is_new(status.fault)
+        })
+    }
+
+    /// Whether a drive that the fault does not hit brakes or has lost power.
+    fn has_braked(&self, robot: &Robot, trouble: &Trouble) -> bool {
+        let is_faulty = |drive: DriveState| matches!(drive, DriveState::FaultReactionActive | DriveState::Fault);
+        let mut others = (1..)
+            .zip(self.drives.iter().copied().zip(drives(robot)))
+            .filter(|(number, _)| !trouble.hits.contains(number));
+        others.any(|(_, (before, now))| match self.mode {
+            // Every drive brakes and loses power because of the stop.
+            Mode::Stopping => is_faulty(now) && !is_faulty(before),
+            _ => before == DriveState::OperationEnabled && now != before,
+        })
+    }
+}
+
 fn measure(situation: &Situation, trouble: &Trouble) -> Outcome {
     let (mut robot, track) = situation.reach();
-    let had_fault = robot.fault();
+    let before = Before::of(&robot, situation);
     let was_referenced = robot.status.as_ref().is_some_and(|status| status.referenced);
-    let in_operation = |robot: &Robot| {
-        let slaves = robot.cell().slaves;
-        slaves
-            .iter()
-            .filter(|slave| slave.drive == DriveState::OperationEnabled)
-            .count()
-    };
-    let powered = in_operation(&robot);
     let mut outcome = Outcome::default();
     let mut moved_ms = 0;
     (trouble.begin)(&mut robot);
@@ -87,8 +132,7 @@ fn measure(situation: &Situation, trouble: &Trouble) -> Outcome {
         if robot.speed_rad_s() > STILL_RAD_S {
             moved_ms = ms;
         }
-        let reacts = in_operation(&robot) < powered || robot.fault() != had_fault || robot.mode() == Mode::Holding;
-        if reacts && !matches!(situation.mode, Mode::Holding | Mode::Stopping) || robot.fault() != had_fault {
+        if before.has_reported(&robot) || before.has_braked(&robot, trouble) {
             outcome.noticed_ms.get_or_insert(ms);
         }
         if let Some(platform) = robot.cell().platform {
@@ -97,11 +141,7 @@ fn measure(situation: &Situation, trouble: &Trouble) -> Outcome {
     }
     let is_ordered_to_go_on = matches!(situation.mode, Mode::Moving | Mode::Drawing) && outcome.noticed_ms.is_none();
     outcome.stands_ms = (moved_ms < WATCHED_MS && !is_ordered_to_go_on).then_some(moved_ms);
-    if let (Some(noticed_ms), Some(stands_ms)) = (&mut outcome.noticed_ms, outcome.stands_ms.filter(|ms| *ms > 0)) {
-        // What stands has reacted, although nobody could be told yet.
-        *noticed_ms = stands_ms.min(*noticed_ms);
-    }
-    outcome.told = robot.fault().filter(|fault| Some(*fault) != had_fault).map(|fault| {
+    outcome.told = robot.fault().filter(|fault| before.is_new(Some(*fault))).map(|fault| {
         let text = text::fault(&fault);
         text.split([';', ':', '(']).next().unwrap_or_default().trim().to_owned()
     });

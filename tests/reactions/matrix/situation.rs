@@ -1,7 +1,8 @@
 //! The tables of the matrix: operating modes and speeds, and how a robot is brought there.
 
+use crate::STILL_RAD_S;
 use crate::robot::Robot;
-use etherpen::application::Mode;
+use etherpen::application::{Fault, Mode, StopSource};
 use etherpen::config::Config;
 use etherpen::messages::{Command, PathVertex};
 use etherpen::motion::Pen;
@@ -19,8 +20,11 @@ const HALF_WAY_PART: f64 = 0.45;
 /// Speeds along the line, mm/s.
 pub(super) const LOW_MM_S: f64 = 20.0;
 pub(super) const FULL_MM_S: f64 = 1_000.0;
-/// Time from an order to hold or to stop to the fault, ms: the motors are braking.
-const BRAKING_MS: u32 = 6;
+/// Time from STOP to the fault at the low and at full speed, ms. A motor still moves then: while drawing, the robot stands
+/// 3 ms after STOP at 20 mm/s and 17 ms after STOP at 1,000 mm/s (`docs/faults.md`, the rows STOP).
+const BRAKING_LOW_MS: u32 = 1;
+const BRAKING_FULL_MS: u32 = 6;
+/// Time from HOLD to the fault, ms. A motor still moves then.
 const HOLDING_MS: u32 = 60;
 
 /// An operating mode, and the speed of the pen in it.
@@ -127,6 +131,16 @@ impl Situation {
         self.speed_mm_s > 0.0
     }
 
+    /// Whether the speed is the full one.
+    fn is_fast(&self) -> bool {
+        self.speed_mm_s > LOW_MM_S
+    }
+
+    /// The fault that the situation itself latches, although its report may not have arrived yet.
+    pub(super) fn latched(&self) -> Option<Fault> {
+        matches!(self.mode, Mode::Stopping | Mode::Fault).then_some(Fault::EmergencyStop(StopSource::Link))
+    }
+
     /// Whether the drives had power.
     pub(super) fn has_power(&self) -> bool {
         self.travels() || matches!(self.mode, Mode::Unreferenced | Mode::Idle)
@@ -196,10 +210,10 @@ impl Situation {
             let position = track.to;
             robot.command(Command::Move { position }).expect("the end of the line");
         }
-        let part = if self.speed_mm_s > LOW_MM_S {
-            HALF_WAY_PART
+        let (part, braking_ms) = if self.is_fast() {
+            (HALF_WAY_PART, BRAKING_FULL_MS)
         } else {
-            BEGUN_PART
+            (BEGUN_PART, BRAKING_LOW_MS)
         };
         robot.run_until("the line is begun", |robot| {
             robot.cell().platform.is_some_and(|at| track.part(at) > part)
@@ -211,10 +225,15 @@ impl Situation {
             }
             Mode::Stopping => {
                 robot.say(Command::Stop);
-                robot.run(BRAKING_MS);
+                robot.run(braking_ms);
             }
             _ => {}
         }
+        assert!(
+            robot.speed_rad_s() > STILL_RAD_S,
+            "{}: every motor stands before the fault begins",
+            self.name
+        );
         (robot, track)
     }
 }

@@ -27,9 +27,10 @@ impl PortTimes {
         self.open & 1 << port != 0
     }
 
-    /// The port at which the frame entered: the open one with the earliest time; port 0 without a clock.
+    /// The port at which the frame entered: the open one with the earliest time, or without a clock the first open one in
+    /// the order of the frame; port 0 if none is open.
     fn entry(&self) -> u8 {
-        let mut entry = 0;
+        let mut entry = PORT_ORDER.into_iter().find(|port| self.is_open(*port)).unwrap_or(0);
         if self.has_clock {
             let mut earliest: Option<u32> = None;
             for (port, time_ns) in (0..).zip(&self.received_ns) {
@@ -152,6 +153,23 @@ mod tests {
             println!("chain: {delays:?} ns");
             assert_eq!(delays[..], [0, 600, 1_000, 1_500]);
         }
+    }
+
+    #[test]
+    fn a_coupler_without_a_clock_whose_first_port_is_closed_is_no_parent_of_what_hangs_elsewhere() {
+        // Slave 0 has a coupler without a clock at port 3, cabled at the coupler's port 1 (100 ns one way), and slave 2
+        // at port 1 (700 ns).
+        let coupler = PortTimes {
+            has_clock: false,
+            open: 0b0010,
+            received_ns: [0; PORTS],
+        };
+        let bus = [
+            slave(0b1011, [5_000, 5_000 + 200 + 1_400, 0, 5_000 + 200]),
+            coupler,
+            slave(0b0001, [4_000, 0, 0, 0]),
+        ];
+        assert_eq!(propagation_delays_ns::<16>(&bus)[..], [0, 0, 200 + 700]);
     }
 
     #[test]

@@ -100,6 +100,20 @@ pub async fn assign_station<const MESSAGE: usize>(
         .map(|_| ())
 }
 
+/// Gives all slaves with a station address another one, 0 for none; there need not be any such slave.
+///
+/// # Errors
+/// As [`AcyclicPort::answered`].
+pub async fn rename<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    from: u16,
+    to: u16,
+) -> Result<(), BusError> {
+    let address = Address::station(from, register::STATION_ADDRESS);
+    let request = Request::write(Command::Fpwr, address, &to.to_le_bytes());
+    port.answered(&request).await.map(|_| ())
+}
+
 /// Assigns station addresses to the first `count` slaves of the chain, from [`STATION_BASE`] on.
 ///
 /// # Errors

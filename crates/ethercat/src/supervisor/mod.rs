@@ -8,8 +8,9 @@
 //! slave, step and reason.
 //!
 //! Invariants: a slave in use is only repaired on command; a slave is only taken back if it is the product that was
-//! there before; every wait ends; while work on one slave is in progress, a change of another is detected within 100
-//! ms.
+//! there before; every wait ends; while work on one slave is in progress, a slave that stops answering or leaves OP is
+//! detected within 100 ms. One that leaves OP with its error flag set is detected after that work, if a slave that waits
+//! for its own repair shows that flag already: the answers of all slaves come as one sum.
 
 mod bring_up;
 mod bus;

@@ -23,6 +23,9 @@ use heapless::Vec;
 /// Most places of a chain that are searched.
 pub(super) const PLACES_MAX: usize = 64;
 
+/// How often a chain that changes meanwhile is read.
+const SETTLED_TRIES_MAX: u32 = 5;
+
 /// The station addresses along the chain; 0 where a slave has none.
 pub(super) type Places = Vec<u16, PLACES_MAX>;
 
@@ -56,22 +59,35 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         self.reach_operational(number).await
     }
 
-    /// The station addresses along the chain. Temporary ones, which work that was dropped has left, are removed: two
-    /// slaves with the same one could not be told apart.
+    /// The station addresses along the chain. Removes temporary ones, which interrupted work has left: two slaves with
+    /// the same one could not be told apart.
     pub(super) async fn places(&mut self) -> Result<Places, BusError> {
-        let mut places = Places::new();
-        let found = discovery::count(&mut self.port).await?;
-        if usize::from(found) > PLACES_MAX {
-            return Err(BusError::TooManySlaves {
-                expected: PLACES_MAX as u16,
-                actual: found,
-            });
+        let mut places = self.settled_places().await?;
+        if places.contains(&STATION_TEMPORARY) {
+            self.name(0).await?;
         }
-        discovery::stations(&mut self.port, found, &mut places).await?;
-        for (place, station) in (0..).zip(&mut places) {
-            if *station == STATION_TEMPORARY {
-                discovery::assign_station(&mut self.port, place, 0).await?;
-                *station = 0;
+        for station in places.iter_mut().filter(|station| **station == STATION_TEMPORARY) {
+            *station = 0;
+        }
+        Ok(places)
+    }
+
+    /// The station addresses along a chain that has not changed while they were read.
+    async fn settled_places(&mut self) -> Result<Places, BusError> {
+        let mut places = Places::new();
+        let mut found = discovery::count(&mut self.port).await?;
+        for _ in 0..SETTLED_TRIES_MAX {
+            if usize::from(found) > PLACES_MAX {
+                return Err(BusError::TooManySlaves {
+                    expected: PLACES_MAX as u16,
+                    actual: found,
+                });
+            }
+            discovery::stations(&mut self.port, found, &mut places).await?;
+            let before = found;
+            found = discovery::count(&mut self.port).await?;
+            if found == before {
+                break;
             }
         }
         Ok(places)
@@ -98,16 +114,15 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         for (rank, place) in strangers.iter().enumerate() {
             let is_its_place = by_order.is_none_or(|wanted| wanted == rank);
             let is_known = is_its_place && (by_order.is_some() || self.is_only_one(&slave, &missing));
-            let fixed = self.fixed_at(*place).await.map_err(at(Step::Identify))?;
+            let fixed = self.identify(*place, places).await.map_err(at(Step::Identify))?;
             match self.is_same(&slave, &fixed.identity) {
                 Ok(()) if is_known || (is_elsewhere && has_serial_of(&slave, &fixed.identity)) => {
-                    return discovery::assign_station(&mut self.port, *place, slave.station())
-                        .await
-                        .map_err(at(Step::Address));
+                    return self.name(slave.station()).await.map_err(at(Step::Address));
                 }
                 Err(error) if is_its_place => other = Some(error),
                 _ => {}
             }
+            self.name(0).await.map_err(at(Step::Identify))?;
         }
         match other {
             Some(error) => Err(at(Step::Identify)(error)),
@@ -173,13 +188,36 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         (first..last).map(|number| number as u8).collect()
     }
 
-    /// Reads the fixed part of the slave at a place without an address; its address is removed afterwards.
-    pub(super) async fn fixed_at(&mut self, place: u16) -> Result<FixedPart, BusError> {
+    /// Gives the slave at a place without an address the temporary one and reads its fixed part; [`Self::name`] has to
+    /// follow. After an error no slave has the temporary address.
+    ///
+    /// A slave that has returned since the places were read shifts them: then another slave has got the address, and
+    /// gets back the one that it had.
+    pub(super) async fn identify(&mut self, place: u16, places: &Places) -> Result<FixedPart, BusError> {
         discovery::assign_station(&mut self.port, place, STATION_TEMPORARY).await?;
+        let there = self.settled_places().await?;
+        let is_gone = |station: &&u16| self.number_of(**station).is_some() && !there.contains(station);
+        let mut gone = places.iter().filter(is_gone).copied();
+        if let Some(station) = gone.next() {
+            // Of several that are gone nobody knows which has the address now.
+            let station = if gone.next().is_none() { station } else { 0 };
+            self.name(station).await?;
+            return Err(BusError::SlaveCount {
+                expected: places.len() as u16,
+                actual: there.len() as u16,
+            });
+        }
         let fixed = information::fixed_part(&mut self.port, STATION_TEMPORARY).await;
-        let forgotten = discovery::assign_station(&mut self.port, place, 0).await;
-        forgotten?;
+        if fixed.is_err() {
+            self.name(0).await?;
+        }
         fixed
+    }
+
+    /// Gives the slave with the temporary address its own, or none with 0. Not by its place: a slave that returns
+    /// meanwhile shifts the places.
+    pub(super) async fn name(&mut self, station: u16) -> Result<(), BusError> {
+        discovery::rename(&mut self.port, STATION_TEMPORARY, station).await
     }
 
     /// Whether a slave with this identity may take a slave's place.

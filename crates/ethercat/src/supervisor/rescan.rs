@@ -9,7 +9,7 @@
 //! Invariant: the rescan changes no slave's state and gives no slave process data.
 
 use super::super::configure::discovery;
-use super::super::configure::discovery::STATION_BASE;
+use super::super::configure::discovery::{STATION_BASE, STATION_TEMPORARY};
 use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
 use super::super::event::BusEvent;
@@ -26,8 +26,16 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             if self.number_of(*station).is_some() {
                 continue;
             }
-            // A slave that cannot be read is an unknown device.
-            let fixed = self.fixed_at(place).await.unwrap_or_default();
+            let fixed = match self.identify(place, &places).await {
+                Ok(fixed) => fixed,
+                // The chain has changed meanwhile; it is looked through again.
+                Err(changed @ BusError::SlaveCount { .. }) => return Err(changed),
+                // A slave that cannot be read is an unknown device.
+                Err(_) => {
+                    discovery::assign_station(&mut self.port, place, STATION_TEMPORARY).await?;
+                    FixedPart::default()
+                }
+            };
             let belongs_here = |slave: &Slave<F>| {
                 let between = self.strangers_between(usize::from(slave.position), &places);
                 slave.condition == Condition::Lost && between.contains(&place)
@@ -41,9 +49,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 .iter()
                 .any(|slave| slave.member.is_some() && belongs_here(slave));
             match returned {
-                Some(number) => self.readdress(number, place).await?,
-                None if is_awaited => {}
-                None => extra |= self.admit(place, fixed).await?,
+                Some(number) => self.readdress(number).await?,
+                None if is_awaited => self.name(0).await?,
+                None => extra |= self.admit(fixed).await?,
             }
         }
         if extra {
@@ -56,17 +64,20 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     }
 
     /// Recognises a returned slave that is not in use; a slave in use keeps waiting for its repair.
-    async fn readdress(&mut self, number: usize, place: u16) -> Result<(), BusError> {
+    async fn readdress(&mut self, number: usize) -> Result<(), BusError> {
         let unused = self.slaves.get(number).filter(|slave| slave.member.is_none());
-        if let Some(station) = unused.map(Slave::station) {
-            discovery::assign_station(&mut self.port, place, station).await?;
-            self.inspect(number..number + 1).await;
+        match unused.map(Slave::station) {
+            Some(station) => {
+                self.name(station).await?;
+                self.inspect(number..number + 1).await;
+            }
+            None => self.name(0).await?,
         }
         Ok(())
     }
 
     /// Gives an extra slave a number behind all others; returns whether there was room.
-    async fn admit(&mut self, place: u16, fixed: FixedPart) -> Result<bool, BusError> {
+    async fn admit(&mut self, fixed: FixedPart) -> Result<bool, BusError> {
         let number = self.slaves.len();
         let slave = Slave {
             fixed,
@@ -74,10 +85,11 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             ..Slave::at(number as u16)
         };
         if self.slaves.push(slave).is_err() {
+            self.name(0).await?;
             return Ok(false);
         }
         let station = STATION_BASE.wrapping_add(number as u16);
-        discovery::assign_station(&mut self.port, place, station).await?;
+        self.name(station).await?;
         self.inspect(number..number + 1).await;
         Ok(true)
     }

@@ -49,6 +49,8 @@ pub(crate) struct Drawing {
     /// The job that was ordered and is not answered, where the tool was then, and its vertices: place in the path,
     /// position, whether the pen is down.
     next: Option<u16>,
+    /// The drawing whose answer was lost, and where its path ends so far.
+    unanswered: Option<(u16, Option<Vector>)>,
     ordered_at: Option<Vector>,
     waiting: Vec<(u32, Vector, bool)>,
     end: Option<Vector>,
@@ -76,6 +78,7 @@ impl Drawing {
         Self {
             job: None,
             next: None,
+            unanswered: None,
             ordered_at: None,
             waiting: Vec::new(),
             end: None,
@@ -119,12 +122,14 @@ impl Drawing {
             } => {
                 if self.next == Some(job) {
                     self.waiting.push((index, position_mm, pen_down));
+                } else if self.unanswered.is_some_and(|(unanswered, _)| unanswered == job) {
+                    self.append_unanswered(position_mm, pen_down, bounds);
                 } else if self.job == Some(job) {
                     self.go_on(cell, bounds, index, position_mm, pen_down);
                 }
             }
             Input::Restarted => {
-                (self.job, self.next) = (None, None);
+                (self.job, self.next, self.unanswered) = (None, None, None);
                 self.waiting.clear();
             }
             _ => {}
@@ -135,10 +140,7 @@ impl Drawing {
     pub(crate) fn hear(&mut self, cell: &Cell, bounds: &Bounds, report: &Report) {
         match *report {
             Report::Accepted(Command::Draw { job }) if self.next == Some(job) => self.begin(cell, bounds),
-            Report::Refused(Command::Draw { job }) if self.next == Some(job) => {
-                self.next = None;
-                self.waiting.clear();
-            }
+            Report::Refused(Command::Draw { job }) if self.next == Some(job) => self.forget_asked(),
             Report::Refused(command @ (Command::Move { .. } | Command::Pen { .. })) => {
                 let refused = self
                     .singles
@@ -154,10 +156,36 @@ impl Drawing {
         }
     }
 
-    /// The drawing that was ordered last begins: it was accepted, or its answer was lost.
+    /// The drawing that was ordered last is not waited for any more: it was refused, or the robot stands or stops.
+    pub(crate) fn forget_asked(&mut self) {
+        self.next = None;
+        self.waiting.clear();
+    }
+
+    /// The answer to the drawing that was ordered last was lost. The robot may draw it or the one before: both are
+    /// right, and neither has to be complete.
+    pub(crate) fn begin_unanswered(&mut self, bounds: &Bounds) {
+        let Some(job) = self.next.take() else { return };
+        self.unanswered = Some((job, self.ordered_at));
+        self.was_disturbed = true;
+        for (_, position_mm, pen_down) in std::mem::take(&mut self.waiting) {
+            self.append_unanswered(position_mm, pen_down, bounds);
+        }
+    }
+
+    /// The path of the drawing whose answer was lost goes on to a vertex.
+    fn append_unanswered(&mut self, to: Vector, pen_down: bool, bounds: &Bounds) {
+        let Some((job, end)) = self.unanswered else { return };
+        let present = std::mem::replace(&mut self.end, end);
+        self.append(to, pen_down, bounds);
+        self.unanswered = Some((job, self.end));
+        self.end = present;
+    }
+
+    /// The drawing that was ordered last was accepted and begins.
     pub(crate) fn begin(&mut self, cell: &Cell, bounds: &Bounds) {
         let Some(job) = self.next.take() else { return };
-        self.job = Some(job);
+        (self.job, self.unanswered) = (Some(job), None);
         self.end = self.ordered_at;
         self.legs.clear();
         self.grid.clear();

@@ -365,6 +365,11 @@ impl Orders {
         is_asked || is_ordered || is_jogged
     }
 
+    /// Whether a drawing, or its continuation, was ordered and is not answered.
+    pub(crate) fn asks_for_path(&self) -> bool {
+        self.path.is_waiting()
+    }
+
     /// Whether a jog may be in progress.
     pub(crate) fn may_jog(&self, now_ms: u64) -> bool {
         self.jog_ends_ms.is_some_and(|ends_ms| now_ms <= ends_ms)

@@ -22,14 +22,15 @@ const CREEP_RAD: f64 = 1.0e-3;
 pub(crate) struct Area {
     /// How far outside the tool may be, mm: as far as it has been in unsound motion or at the start.
     found_mm: Option<f64>,
-    /// How far beyond its range each joint may be, rad: as far as it has been in unsound motion.
+    /// How far beyond its range each joint may be, rad: as far as it has been in unsound motion or at the start.
     found_rad: [f64; AXES_MAX],
 }
 
 impl Area {
     pub(crate) fn check(&mut self, scene: &Scene<'_>) -> Finding {
         let motion = scene.motion;
-        let is_sound = scene.is_sound();
+        // In the first millisecond any place within the end stops is where the robot was found.
+        let is_sound = scene.is_sound() && self.found_mm.is_some();
         for axis in motion.each_axis() {
             let (angle, joint) = (motion.angles_rad[axis], &scene.bounds.joints[axis]);
             let found_rad = &mut self.found_rad[axis];
@@ -109,6 +110,17 @@ mod tests {
         assert_eq!(rig.step(), Ok(()));
         rig.joints[3].angle_rad = 6_283.04;
         assert!(broken(&rig.step(), Rule::Area), "it may only come nearer");
+    }
+
+    #[test]
+    fn a_joint_that_is_found_beyond_its_range_may_only_come_nearer() {
+        let mut rig = Rig::new();
+        rig.joints[3].angle_rad = 6_283.03;
+        let mut rig = rig.in_motion();
+        rig.joints[3].angle_rad = 6_283.02;
+        assert_eq!(rig.step(), Ok(()));
+        rig.joints[3].angle_rad = 6_283.03;
+        assert!(broken(&rig.step(), Rule::Area));
     }
 
     fn small() -> Cell {

@@ -121,6 +121,57 @@ mod tests {
     }
 
     #[test]
+    fn a_drawing_whose_refusal_was_lost_excuses_no_touch_later() {
+        let mut rig = Rig::idle_at([0.0, 0.0, -840.0]);
+        rig.input(Input::Commanded(Command::Draw { job: 9 }));
+        assert_eq!(rig.run(300), Ok(()));
+        rig.report(Report::Mode(Mode::Idle));
+        assert_eq!(rig.run(10), Ok(()));
+        let target = [0.0, 0.0, -848.0];
+        rig.command(Command::Move { position_mm: target });
+        assert_eq!(rig.go_to(target, 100), Ok(()));
+        let found = rig.go_to([0.0, 0.0, -850.0], 50);
+        assert!(broken(&found, Rule::Pen), "{found:?}");
+    }
+
+    #[test]
+    fn a_drawing_whose_refusal_was_lost_does_not_replace_the_present_one() {
+        let mut rig = Rig::drawing_on_paper();
+        rig.input(Input::Commanded(Command::Draw { job: 9 }));
+        assert_eq!(rig.run(1_200), Ok(()));
+        assert_eq!(rig.go_to([20.0, 0.0, -850.0], 200), Ok(()));
+        let found = rig.go_to([20.0, 4.0, -850.0], 40);
+        assert!(
+            broken(&found, Rule::Pen) || broken(&found, Rule::Following),
+            "{found:?}"
+        );
+    }
+
+    #[test]
+    fn a_drawing_whose_answer_was_lost_may_be_drawn() {
+        let mut rig = Rig::idle_at([0.0, 0.0, -847.0]);
+        rig.input(Input::Commanded(Command::Draw { job: 9 }));
+        for (index, (x, z, pen_down)) in (0..).zip([(0.0, -850.0, false), (40.0, -850.0, true), (40.0, -847.0, false)])
+        {
+            rig.input(Input::PathVertex {
+                job: 9,
+                index,
+                position_mm: [x, 0.0, z],
+                pen_down,
+            });
+        }
+        rig.report(Report::Mode(Mode::Drawing));
+        assert_eq!(rig.go_to([0.0, 0.0, -850.0], 60), Ok(()));
+        assert_eq!(rig.run(1_200), Ok(()));
+        assert_eq!(rig.go_to([30.0, 0.0, -850.0], 200), Ok(()));
+        let found = rig.go_to([30.0, 4.0, -850.0], 40);
+        assert!(
+            broken(&found, Rule::Pen) || broken(&found, Rule::Following),
+            "{found:?}"
+        );
+    }
+
+    #[test]
     fn after_a_stop_the_pen_may_slide_and_stand_where_it_came_to_rest() {
         for is_cut in [false, true] {
             let mut rig = Rig::drawing_on_paper();

@@ -173,6 +173,26 @@ fn modules_with_tests_in_files_of_their_own_are_known() {
 }
 
 #[test]
+fn equal_changes_of_one_function_are_numbered_and_others_are_not() {
+    let text = "impl A { fn f(&mut self) { self.a = 0; self.b = 0; self.a = 0; } fn g(&mut self) { self.a = 0; } }
+        impl B { fn f(&mut self) { self.a = 0; } }";
+    let numbered: Vec<_> = sites("a.rs", text)
+        .unwrap()
+        .into_iter()
+        .map(|site| (site.function, site.change, site.occurrence))
+        .collect();
+    let expected = [
+        ("A::f", "`self.a = 0` left out", Some(1)),
+        ("A::f", "`self.b = 0` left out", None),
+        ("A::f", "`self.a = 0` left out", Some(2)),
+        ("A::g", "`self.a = 0` left out", None),
+        ("B::f", "`self.a = 0` left out", None),
+    ];
+    let expected = expected.map(|(function, change, occurrence)| (function.to_owned(), change.to_owned(), occurrence));
+    assert_eq!(numbered, expected);
+}
+
+#[test]
 fn a_change_is_told_in_one_short_line() {
     let text = "fn f() { g(a(1,\n    2) < b); }";
     let sites = sites("a.rs", text).unwrap();

@@ -18,6 +18,7 @@ pub use rows::{Curve, LatencyReport};
 use super::BenchError;
 use crate::cell::{Cell, CellOptions};
 use crate::emulator::{Emulator, Options as EmulatorOptions};
+use crate::firmware_image::image_hash;
 use crate::link::measurement::Readings;
 use crate::setup;
 use cable::Cable;
@@ -126,6 +127,8 @@ pub(crate) struct Case {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(crate) struct LatencyRun {
     pub(crate) case: Case,
+    /// Hash of the firmware image that ran.
+    pub(crate) image: String,
     pub(crate) readings: Readings,
     /// Counters of the measurement alone.
     pub(crate) counters: Counters,
@@ -147,54 +150,78 @@ pub fn run(plan: &LatencyPlan, mut progress: impl FnMut(&str)) -> Result<Latency
     Ok(rows::report(plan, &measure_all(plan, &mut progress)?))
 }
 
-/// As [`run`], but keeps the runs of the plan's seed in a folder, and reports all runs that the folder has as one. Runs
-/// that it has are not repeated.
+/// Keeps the runs of the plan's seed in a folder, and reports all runs in the folder as one. Measures the seed only if
+/// the folder does not have it.
 ///
 /// # Errors
-/// As [`run`]; and a file of the folder cannot be read or written, or was made with other options.
+/// A tool is missing, the emulator ended, or the firmware had a fault. A file of the folder cannot be read or written,
+/// contradicts itself, or was measured with other options, another version of this program or another firmware image:
+/// nothing is measured then.
 pub fn run_merged(
     plan: &LatencyPlan,
     folder: &Path,
     mut progress: impl FnMut(&str),
 ) -> Result<LatencyReport, BenchError> {
-    if Saved::of(folder, plan)?.is_none() {
-        Saved::new(plan, measure_all(plan, &mut progress)?).write(folder)?;
+    let images = images(plan, &mut progress)?;
+    let mut all = Saved::all(folder, plan, &images)?;
+    if all.iter().all(|saved| saved.plan.seed != plan.seed) {
+        let runs = measure_all(plan, &mut progress)?;
+        check_unchanged(&runs, &images)?;
+        Saved::new(plan, runs).write(folder)?;
+        // Another process may have added a seed meanwhile.
+        all = Saved::all(folder, plan, &images)?;
     }
-    let all = Saved::all(folder, plan)?;
     let seeds: Vec<String> = all.iter().map(|saved| saved.plan.seed.to_string()).collect();
     progress(&format!("seeds {} together", seeds.join(", ")));
     Ok(rows::report(plan, &saved::merged(&all)))
 }
 
-fn measure_all(plan: &LatencyPlan, mut progress: &mut impl FnMut(&str)) -> Result<Vec<LatencyRun>, BenchError> {
-    setup::ensure_qemu()?;
-    let mut runs = Vec::new();
-    let mut case = Case {
+/// Cases of a plan in the order of their runs, those at 1 kHz first.
+fn cases(plan: &LatencyPlan) -> Vec<Case> {
+    let idle = Case {
         disturbance: Disturbance::default(),
         isolation: Isolation::Basepri,
         rate_khz: 1,
     };
-    let loaded = plan.disturbance != Disturbance::default();
-    if plan.at_rest || !loaded {
-        runs.push(measure(plan, case, &mut progress)?);
+    let loaded = Case {
+        disturbance: plan.disturbance,
+        ..idle
+    };
+    let mut cases = Vec::new();
+    if plan.at_rest || loaded == idle {
+        cases.push(idle);
     }
-    if loaded {
-        case.disturbance = plan.disturbance;
-        runs.push(measure(plan, case, &mut progress)?);
+    if loaded != idle {
+        cases.push(loaded);
     }
     if plan.isolation == Isolation::Primask {
-        let unprotected = Case {
+        cases.push(Case {
             isolation: Isolation::Primask,
-            ..case
-        };
-        runs.push(measure(plan, unprotected, &mut progress)?);
+            ..loaded
+        });
     }
     // The path is planned for a loop of 1 kHz: at a higher rate it would be too fast for the drives.
-    case.disturbance.planner = false;
-    for rate_khz in [2, 4, 8].into_iter().filter(|rate_khz| *rate_khz <= plan.rate_khz) {
-        let faster = measure(plan, Case { rate_khz, ..case }, &mut progress)?;
-        let missed = rows::late(&faster) > 0;
-        runs.push(faster);
+    let disturbance = Disturbance {
+        planner: false,
+        ..plan.disturbance
+    };
+    let rates_khz = [2, 4, 8].into_iter().filter(|rate_khz| *rate_khz <= plan.rate_khz);
+    cases.extend(rates_khz.map(|rate_khz| Case {
+        disturbance,
+        rate_khz,
+        ..idle
+    }));
+    cases
+}
+
+/// Measures the cases of a plan in order; the first missed deadline at a higher rate is the last run.
+fn measure_all(plan: &LatencyPlan, progress: &mut impl FnMut(&str)) -> Result<Vec<LatencyRun>, BenchError> {
+    setup::ensure_qemu()?;
+    let mut runs = Vec::new();
+    for case in cases(plan) {
+        let measured = measure(plan, case, progress)?;
+        let missed = case.rate_khz > 1 && rows::late(&measured) > 0;
+        runs.push(measured);
         if missed {
             break;
         }
@@ -215,6 +242,39 @@ fn image(case: Case) -> Result<PathBuf, BenchError> {
     Ok(setup::build_variant("emulated", &features)?)
 }
 
+/// Builds the images of a plan's cases; returns each case with the hash of its image.
+fn images(plan: &LatencyPlan, progress: &mut impl FnMut(&str)) -> Result<Vec<(Case, String)>, BenchError> {
+    let built = |case| {
+        progress(&format!("building the firmware: {}", rows::name(case)));
+        Ok((case, hash(&image(case)?)?))
+    };
+    cases(plan).into_iter().map(built).collect()
+}
+
+fn hash(image: &Path) -> Result<String, BenchError> {
+    image_hash(image).map_err(|error| BenchError::Program {
+        program: "the firmware cannot be identified".to_owned(),
+        cause: error.message,
+    })
+}
+
+/// Checks that every run had the image that was built for its case before the first run.
+fn check_unchanged(runs: &[LatencyRun], images: &[(Case, String)]) -> Result<(), BenchError> {
+    for (run, (_, image)) in runs.iter().zip(images) {
+        if run.image != *image {
+            return Err(BenchError::Program {
+                program: format!("the firmware, {}", rows::name(run.case)),
+                cause: format!(
+                    "its image changed from {image} to {} during the measurement, so nothing was kept; measure again \
+                     without changing the sources",
+                    run.image
+                ),
+            });
+        }
+    }
+    Ok(())
+}
+
 fn measure(plan: &LatencyPlan, case: Case, progress: &mut impl FnMut(&str)) -> Result<LatencyRun, BenchError> {
     let name = rows::name(case);
     progress(&format!("building the firmware: {name}"));
@@ -230,6 +290,7 @@ fn measure_image(
     case: Case,
     progress: &mut impl FnMut(&str),
 ) -> Result<LatencyRun, BenchError> {
+    let image_hash = hash(image)?;
     let config = Config::default();
     let options = CellOptions {
         faults: cable::faults(case.disturbance.network),
@@ -274,6 +335,7 @@ fn measure_image(
     match outcome {
         Some(Outcome::Measured { readings, counters }) => Ok(LatencyRun {
             case,
+            image: image_hash,
             readings,
             counters,
         }),
@@ -299,19 +361,68 @@ mod tests {
         assert!(read("flood").is_err_and(|message| message.contains("flood")));
     }
 
-    /// Two runs of the loaded firmware.
-    #[test]
-    fn under_every_disturbance_no_cycle_is_late_or_lost_and_the_release_waits_for_one_run_at_most() {
-        setup::ensure_qemu().expect("the emulator can be had");
-        let plan = LatencyPlan {
+    fn plan(disturbance: Disturbance) -> LatencyPlan {
+        LatencyPlan {
             cycles: 5_000,
-            disturbance: Disturbance::ALL,
+            disturbance,
             at_rest: false,
             isolation: Isolation::Basepri,
             rate_khz: 1,
             instruction_shift: 3,
             seed: 0,
+        }
+    }
+
+    #[test]
+    fn the_cases_of_a_plan_are_idle_loaded_without_isolation_and_faster_ones_without_a_path() {
+        let case = |disturbance, isolation, rate_khz| Case {
+            disturbance,
+            isolation,
+            rate_khz,
         };
+        let idle = case(Disturbance::default(), Isolation::Basepri, 1);
+        let loaded = case(Disturbance::ALL, Isolation::Basepri, 1);
+        assert_eq!(cases(&plan(Disturbance::default())), [idle]);
+        assert_eq!(cases(&plan(Disturbance::ALL)), [loaded]);
+        let whole = LatencyPlan {
+            at_rest: true,
+            isolation: Isolation::Primask,
+            rate_khz: 4,
+            ..plan(Disturbance::ALL)
+        };
+        let pathless = Disturbance {
+            planner: false,
+            ..Disturbance::ALL
+        };
+        let expected = [
+            idle,
+            loaded,
+            case(Disturbance::ALL, Isolation::Primask, 1),
+            case(pathless, Isolation::Basepri, 2),
+            case(pathless, Isolation::Basepri, 4),
+        ];
+        assert_eq!(cases(&whole), expected);
+    }
+
+    #[test]
+    fn a_measurement_whose_image_changed_meanwhile_is_refused() {
+        let case = cases(&plan(Disturbance::ALL))[0];
+        let run = LatencyRun {
+            case,
+            image: "fnv1a64:1".to_owned(),
+            readings: Readings::default(),
+            counters: Counters::default(),
+        };
+        assert!(check_unchanged(std::slice::from_ref(&run), &[(case, run.image.clone())]).is_ok());
+        let refused = check_unchanged(&[run], &[(case, "fnv1a64:2".to_owned())]).expect_err("another image");
+        assert!(refused.to_string().contains("measure again"), "{refused}");
+    }
+
+    /// Two runs of the loaded firmware.
+    #[test]
+    fn under_every_disturbance_no_cycle_is_late_or_lost_and_the_release_waits_for_one_run_at_most() {
+        setup::ensure_qemu().expect("the emulator can be had");
+        let plan = plan(Disturbance::ALL);
         let image = setup::build_firmware("emulated").expect("the firmware builds");
         let case = |disturbance| Case {
             disturbance,

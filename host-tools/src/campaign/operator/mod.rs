@@ -150,6 +150,12 @@ impl<'e> Operator<'e> {
         self.judge.finished()
     }
 
+    /// Whether the faults are over and everything was healed.
+    #[cfg(test)]
+    pub(super) fn is_healed(&self) -> bool {
+        self.stage != Stage::Free
+    }
+
     fn fail(&mut self, rule: Rule, text: String) {
         self.failure.get_or_insert(Failure {
             time_ms: self.now_ms,
