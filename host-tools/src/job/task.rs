@@ -182,6 +182,7 @@ pub enum Control {
 
 /// An event of a job, for display.
 #[derive(Clone, Debug, PartialEq)]
+#[allow(clippy::large_enum_variant)] // few are alive at a time
 pub enum JobEvent {
     /// The firmware has answered.
     Connected(Welcome),
