@@ -9,7 +9,7 @@
 
 use super::contents::{Contents, EventEntry, SampleEntry};
 use crate::recording::mcap::{Topic, Writer};
-use crate::recording::messages::{self, EVENT, GAP, Gap, Moment, SAMPLE, Severity, TOPICS};
+use crate::recording::messages::{self, BLACK_BOX, EVENT, GAP, Gap, Moment, SAMPLE, Severity, TOPICS};
 use etherpen::application::Mode;
 use etherpen::black_box::{Direction, Event};
 use etherpen::board::Interlock;
@@ -29,7 +29,7 @@ const MILLISECOND_NS: u64 = 1_000_000;
 
 /// The samples as recorded. Fields are ordered by size, so that none needs padding.
 const RECORDED_TOPIC: Topic = Topic {
-    name: "/black_box",
+    name: BLACK_BOX,
     schema_name: "etherpen/msg/BlackBox",
     schema: "# What a black box records of one millisecond, beside the angles in /sample.\n\
              uint32 t_ms\nfloat32 clock_error_ns  # NaN without a clock\n\

@@ -85,6 +85,9 @@ pub const STATUS: u16 = 3;
 /// Channel of the events.
 pub const EVENT: u16 = 4;
 
+/// Topic of what only a black box records; a recording has none.
+pub const BLACK_BOX: &str = "/black_box";
+
 /// The channels, in the order of their numbers.
 pub const TOPICS: [Topic; 4] = [
     Topic {

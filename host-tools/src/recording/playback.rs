@@ -3,7 +3,7 @@
 //! Invariant: unreadable parts are counted and reported; all readable parts are returned.
 
 use super::mcap::{Ending, Notice, Reader, Source};
-use super::messages::{Event, Gap, Moment, State, TOPICS};
+use super::messages::{BLACK_BOX, Event, Gap, Moment, State, TOPICS};
 use etherpen::config::Config;
 use std::fs::File;
 use std::io::{self, BufReader};
@@ -92,6 +92,7 @@ impl<R: Source> Playback<R> {
             let since_ns = time_ns.saturating_sub(start_ns.unwrap_or(time_ns));
             match entry {
                 Some(entry) => return Ok(Some((since_ns as f64 / 1e9, entry))),
+                None if message.topic == BLACK_BOX => {}
                 None => self.foreign += 1,
             }
         }
