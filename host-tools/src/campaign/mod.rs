@@ -14,6 +14,7 @@
 
 mod chance;
 mod counted;
+mod emulated;
 pub mod episode;
 mod figures;
 pub mod generate;
@@ -30,6 +31,7 @@ mod world;
 
 use crate::cell::{Cell, CellOptions};
 use crate::simulation;
+pub use emulated::{for_the_image, run_image};
 use episode::Episode;
 use generate::Profile;
 use operator::Operator;
@@ -174,9 +176,14 @@ pub struct Progress {
     pub failed: usize,
 }
 
-/// Runs episodes in parallel until all seeds are done, the time is over or `ended` is set; `report` gets each seed that
-/// fails, and the progress after each episode.
-pub fn campaign(plan: &Plan, ended: &AtomicBool, report: &(dyn Fn(Option<&Failed>, Progress) + Sync)) -> Summary {
+/// Runs episodes in parallel by `run` until all seeds are done, the time is over or `ended` is set; `report` gets each
+/// seed that fails, and the progress after each episode.
+pub fn campaign(
+    plan: &Plan,
+    run: &(dyn Fn(&Episode) -> Run + Sync),
+    ended: &AtomicBool,
+    report: &(dyn Fn(Option<&Failed>, Progress) + Sync),
+) -> Summary {
     let next = AtomicU64::new(plan.first);
     let summary = Mutex::new(Summary::default());
     let lock = || summary.lock().unwrap_or_else(PoisonError::into_inner);

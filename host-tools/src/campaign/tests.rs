@@ -21,7 +21,7 @@ fn the_first_seeds_of_every_profile_find_nothing() {
             limit_ms: None,
             jobs: 2,
         };
-        let summary = campaign(&plan, &AtomicBool::new(false), &|_, _| {});
+        let summary = campaign(&plan, &run, &AtomicBool::new(false), &|_, _| {});
         println!("{profile:?}: {} ms of robot time", summary.virtual_ms);
         assert_eq!(summary.episodes, SEEDS.end - SEEDS.start);
         let failed: Vec<String> = summary

@@ -2,8 +2,7 @@
 
 use crate::cell::{Cell, Fault, Truth};
 use crate::emulator::Segment;
-use std::cell::RefCell;
-use std::rc::Rc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Frames kept for a millisecond; more than the controller sends and receives in one.
 const FRAMES_MAX: usize = 16;
@@ -58,46 +57,50 @@ struct Inside {
 
 /// The cell and its wire, shared by the firmware's port and the operator.
 #[derive(Clone)]
-pub(super) struct World(Rc<RefCell<Inside>>);
+pub(super) struct World(Arc<Mutex<Inside>>);
 
 impl World {
     pub(super) fn new(cell: Cell) -> Self {
-        Self(Rc::new(RefCell::new(Inside {
+        Self(Arc::new(Mutex::new(Inside {
             cell,
             wire: Wire::default(),
             waiting: Vec::new(),
         })))
     }
 
+    fn inside(&self) -> MutexGuard<'_, Inside> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Injects a fault now.
     pub(super) fn inject(&self, fault: Fault) {
-        self.0.borrow_mut().cell.inject(fault);
+        self.inside().cell.inject(fault);
     }
 
     /// Lets a fault of frames hit each of the next `count` frames, after those that an earlier one of its kind hits.
     pub(super) fn inject_into_frames(&self, fault: Fault, count: u32) {
-        self.0.borrow_mut().waiting.push((fault, count));
+        self.inside().waiting.push((fault, count));
     }
 
     /// No further frame is hit.
     pub(super) fn spare_frames(&self) {
-        self.0.borrow_mut().waiting.clear();
+        self.inside().waiting.clear();
     }
 
     /// The motors and the pen.
     pub(super) fn truth(&self) -> Truth {
-        self.0.borrow().cell.truth()
+        self.inside().cell.truth()
     }
 
     /// Puts an empty sheet in the place of the one with the ink.
     #[cfg(test)]
     pub(super) fn new_sheet(&self) {
-        self.0.borrow_mut().cell.new_sheet();
+        self.inside().cell.new_sheet();
     }
 
     /// Calls `look` with the cell and the frames of this millisecond, and forgets the frames.
     pub(super) fn look<R>(&self, look: impl FnOnce(&Cell, &[Frame]) -> R) -> R {
-        let Inside { cell, wire, .. } = &mut *self.0.borrow_mut();
+        let Inside { cell, wire, .. } = &mut *self.inside();
         let result = look(cell, wire.frames());
         wire.clear();
         result
@@ -110,7 +113,7 @@ impl Segment for World {
     }
 
     fn frame_at_ns(&mut self, time_ns: u64, frame: &[u8]) -> Vec<Vec<u8>> {
-        let Inside { cell, wire, waiting } = &mut *self.0.borrow_mut();
+        let Inside { cell, wire, waiting } = &mut *self.inside();
         let mut kinds: heapless::Vec<&str, KINDS_MAX> = heapless::Vec::new();
         waiting.retain_mut(|(fault, count)| {
             let is_first = !kinds.contains(&fault.name()) && kinds.push(fault.name()).is_ok();
@@ -129,6 +132,6 @@ impl Segment for World {
     }
 
     fn advance_to(&mut self, time_us: u64) {
-        self.0.borrow_mut().cell.advance_to(time_us);
+        self.inside().cell.advance_to(time_us);
     }
 }

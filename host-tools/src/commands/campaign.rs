@@ -2,9 +2,10 @@
 
 use crate::campaign::episode::Episode;
 use crate::campaign::generate::{Profile, episode};
-use crate::campaign::{self, Failed, Failure, Plan, Progress};
+use crate::campaign::{self, Failed, Failure, Plan, Progress, Run};
 use crate::error::{ProgramError, code};
 use crate::output_file::{make_folder, write_text};
+use crate::setup;
 use crate::terminal::{counted, in_colour};
 use indicatif::{ProgressBar, ProgressStyle};
 use serde::Serialize;
@@ -30,8 +31,12 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["seeds", "hours", "profile"])]
     replay: Vec<PathBuf>,
     /// Make each failing episode smaller and write it into this folder as a test case.
-    #[arg(long, value_name = "DIR")]
+    #[arg(long, value_name = "DIR", conflicts_with = "emulated")]
     cases: Option<PathBuf>,
+    /// Run the emulated board's image in QEMU instead of the firmware's tasks in this program, without faults of the
+    /// board's inputs; about twice real time for each job.
+    #[arg(long)]
+    emulated: bool,
     /// Print the result as JSON on stdout.
     #[arg(long)]
     json: bool,
@@ -81,7 +86,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let begun = Instant::now();
     let (episodes, virtual_ms, failures) = match arguments.replay.is_empty() {
         true => of_seeds(arguments)?,
-        false => of_files(&arguments.replay)?,
+        false => of_files(&arguments.replay, &runner(arguments)?)?,
     };
     let virtual_hours = virtual_ms as f64 / 3.6e6;
     let times_real_time = virtual_ms as f64 / 1e3 / begun.elapsed().as_secs_f64().max(1e-9);
@@ -115,7 +120,23 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
 /// Virtual milliseconds, and the failures with their number of episodes.
 type Outcome = (u64, u64, Vec<ReportedFailure>);
 
+/// What runs an episode.
+type Runner = Box<dyn Fn(&Episode) -> Run + Sync>;
+
+/// The firmware's tasks in this program, or the emulated board's image, which is built.
+fn runner(arguments: &Arguments) -> Result<Runner, ProgramError> {
+    if !arguments.emulated {
+        return Ok(Box::new(campaign::run));
+    }
+    setup::ensure_qemu()?;
+    let image = setup::build_firmware("emulated")?;
+    Ok(Box::new(move |episode| {
+        campaign::run_image(&image, &campaign::for_the_image(episode))
+    }))
+}
+
 fn of_seeds(arguments: &Arguments) -> Result<Outcome, ProgramError> {
+    let run = runner(arguments)?;
     let (first, end) = arguments.seeds;
     let limit_ms = arguments.hours.map(|hours| (hours * 3.6e6) as u64);
     let plan = Plan {
@@ -127,7 +148,9 @@ fn of_seeds(arguments: &Arguments) -> Result<Outcome, ProgramError> {
     };
     let bar = bar(&plan);
     let ended = super::ended_by_a_signal()?;
-    let summary = campaign::campaign(&plan, &ended, &|failed, progress| show(&bar, &plan, failed, progress));
+    let summary = campaign::campaign(&plan, &run, &ended, &|failed, progress| {
+        show(&bar, arguments, failed, progress);
+    });
     bar.finish_and_clear();
     let mut failures = Vec::new();
     for Failed { seed, failure } in &summary.failed {
@@ -138,16 +161,16 @@ fn of_seeds(arguments: &Arguments) -> Result<Outcome, ProgramError> {
         failures.push(ReportedFailure {
             seed: Some(*seed),
             what: failure.to_string(),
-            replay: case.map_or_else(|| replay_seed(*seed, plan.profile), |case| replay_file(&case)),
+            replay: case.map_or_else(|| replay_seed(*seed, arguments), |case| replay_file(&case)),
         });
     }
     Ok((summary.episodes, summary.virtual_ms, failures))
 }
 
-fn of_files(files: &[PathBuf]) -> Result<Outcome, ProgramError> {
+fn of_files(files: &[PathBuf], run: &Runner) -> Result<Outcome, ProgramError> {
     let (mut virtual_ms, mut failures) = (0, Vec::new());
     for file in files {
-        let run = campaign::run(&Episode::read(file)?);
+        let run = run(&Episode::read(file)?);
         virtual_ms += u64::from(run.passed_ms);
         if let Some(failure) = run.failure {
             eprintln!("{} {}: {failure}", in_colour("failed", "1;31"), file.display());
@@ -174,8 +197,8 @@ fn bar(plan: &Plan) -> ProgressBar {
     bar
 }
 
-fn show(bar: &ProgressBar, plan: &Plan, failed: Option<&Failed>, progress: Progress) {
-    bar.set_position(if plan.limit_ms.is_some() {
+fn show(bar: &ProgressBar, arguments: &Arguments, failed: Option<&Failed>, progress: Progress) {
+    bar.set_position(if arguments.hours.is_some() {
         progress.virtual_ms
     } else {
         progress.episodes
@@ -189,18 +212,23 @@ fn show(bar: &ProgressBar, plan: &Plan, failed: Option<&Failed>, progress: Progr
         let line = format!(
             "{} seed {seed}: {failure}; {}",
             in_colour("failed", "1;31"),
-            replay_seed(*seed, plan.profile)
+            replay_seed(*seed, arguments)
         );
         bar.suspend(|| eprintln!("{line}"));
     }
 }
 
-fn replay_seed(seed: u64, profile: Profile) -> String {
+fn replay_seed(seed: u64, arguments: &Arguments) -> String {
     use clap::ValueEnum;
-    let profile = profile
+    let profile = arguments
+        .profile
         .to_possible_value()
         .map_or_else(String::new, |value| value.get_name().to_owned());
-    format!("etherpen campaign --seeds {seed}..{} --profile {profile}", seed + 1)
+    let emulated = if arguments.emulated { " --emulated" } else { "" };
+    format!(
+        "etherpen campaign --seeds {seed}..{} --profile {profile}{emulated}",
+        seed + 1
+    )
 }
 
 fn replay_file(file: &Path) -> String {

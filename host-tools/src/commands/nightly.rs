@@ -8,6 +8,8 @@ use std::time::Instant;
 
 /// Robot time of each profile of the campaign, hours.
 const CAMPAIGN_HOURS: &str = "4";
+/// Robot time of each profile against the emulated board's image, hours.
+const EMULATED_HOURS: &str = "1";
 /// First seed and the one behind the last; an episode takes some seconds of robot time.
 const CAMPAIGN_SEEDS: &str = "0..100000";
 /// Profiles of the campaign.
@@ -61,6 +63,13 @@ fn steps() -> Vec<Step> {
              --cases target/campaign/{profile}"
         );
         Step::new(&format!("campaign-{profile}"), &arguments)
+    }));
+    steps.extend(PROFILES.map(|profile| {
+        let arguments = format!(
+            "run --release --bin etherpen -- campaign --emulated --profile {profile} --seeds {CAMPAIGN_SEEDS} \
+             --hours {EMULATED_HOURS}"
+        );
+        Step::new(&format!("emulated-{profile}"), &arguments)
     }));
     steps.push(Step::new(
         "soak",
