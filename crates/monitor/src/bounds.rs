@@ -33,8 +33,6 @@ const JOG_SPEED_MAX_MM_S: f64 = 250.0;
 const JOG_DECELERATION_MAX_MM_S2: f64 = 2_000.0;
 /// Fastest override over the configured speed.
 const OVERRIDE_MAX: f64 = 2.0;
-/// Absolute margin of speeds of the tool: the controller's corrections of a following error of a quarter millimetre.
-const TOOL_SPEED_MM_S: f64 = 20.0;
 /// Relative and absolute margin of joint speeds.
 const JOINT_SPEED_PART: f64 = 1.05;
 const JOINT_SPEED_RAD_S: f64 = 0.1;
@@ -165,7 +163,7 @@ impl Bounds {
 
     /// A speed of the tool with its margin, mm/s.
     pub(crate) fn with_margin(cell: &Cell, speed_mm_s: f64) -> f64 {
-        speed_mm_s * (1.0 + cell.overshoot_part) + TOOL_SPEED_MM_S
+        speed_mm_s * (1.0 + cell.overshoot_part) + cell.overshoot_mm_s
     }
 
     /// Longest time in which a joint comes to rest from a speed, ms, once its drive brakes.

@@ -140,6 +140,10 @@ pub struct Cell {
     /// Part of its speed by which the tool may exceed it. 0.05 leaves room for the overshoot of drives with a velocity
     /// loop of their own; motors in torque mode need 0.15.
     pub overshoot_part: f64,
+    /// By how much the tool may exceed its speed beyond that, mm/s: 20 for the corrections of a following error of a
+    /// quarter millimetre. Motors in torque mode swing by 0.15 mm at 30 Hz
+    /// where the pen leaves the paper: 35.
+    pub overshoot_mm_s: f64,
     /// Share of a drawing's lines that may be without ink. In torque mode the pen's spring does not always reach the
     /// paper: 0.01 (`tests/drives.rs`). If it is above 0, strokes shorter than half a millimetre are not judged.
     pub ink_missing_part: f64,
@@ -186,6 +190,7 @@ impl Default for Cell {
             following_mm: 0.3,
             creep_ms: 100,
             overshoot_part: 0.05,
+            overshoot_mm_s: 20.0,
             ink_missing_part: 0.0,
             disturbed_mm: 40.0,
             dead_man_ms: 100,

@@ -5,9 +5,7 @@
 
 use super::episode::{Episode, What};
 use super::operator::Operator;
-use super::world::World;
-use super::{Failure, LIMIT_MS, Rule, Run};
-use crate::cell::{Cell, CellOptions};
+use super::{Failure, LIMIT_MS, Rule, Run, prepared};
 use crate::emulator::{Emulator, EmulatorError, LINK_BYTES_MAX, Link, Options, Traffic};
 use crate::simulation::Host;
 use std::path::Path;
@@ -46,19 +44,10 @@ pub fn for_the_image(episode: &Episode) -> Episode {
 /// Runs an episode of [`for_the_image`] against a firmware image.
 #[must_use]
 pub fn run_image(image: &Path, episode: &Episode) -> Run {
-    let failed = |rule, text| Run {
-        failure: Some(Failure { time_ms: 0, rule, text }),
-        passed_ms: 0,
+    let (config, world) = match prepared(episode) {
+        Ok(prepared) => prepared,
+        Err(failed) => return failed,
     };
-    let config = match episode.configuration() {
-        Ok(config) => config,
-        Err(text) => return failed(Rule::Episode, text),
-    };
-    let options = CellOptions {
-        seed: episode.seed,
-        ..CellOptions::default()
-    };
-    let world = World::new(Cell::new(&config, options));
     let mut operator = Operator::new(episode, config, world.clone());
     let ((heard, from_firmware), (to_firmware, said)) = (sync_channel(0), sync_channel(0));
     let quiet = Options {
@@ -67,7 +56,7 @@ pub fn run_image(image: &Path, episode: &Episode) -> Run {
     };
     let emulator = match Emulator::start(image, &quiet, world, Bridge { heard, said }, |_| ()) {
         Ok(emulator) => emulator,
-        Err(error) => return failed(Rule::Episode, error.to_string()),
+        Err(error) => return Run::failed(Rule::Episode, error.to_string()),
     };
     let passed_ms = operate(&mut operator, &from_firmware, &to_firmware);
     drop((from_firmware, to_firmware));

@@ -33,6 +33,7 @@ use crate::cell::{Cell, CellOptions};
 use crate::simulation;
 pub use emulated::{for_the_image, run_image};
 use episode::Episode;
+use etherpen::config::Config;
 use generate::Profile;
 use operator::Operator;
 use serde::Serialize;
@@ -99,23 +100,37 @@ pub struct Run {
     pub passed_ms: u32,
 }
 
-/// Runs an episode.
-#[must_use]
-pub fn run(episode: &Episode) -> Run {
-    let failed = |rule, text| Run {
-        failure: Some(Failure { time_ms: 0, rule, text }),
-        passed_ms: 0,
-    };
-    let config = match episode.configuration() {
-        Ok(config) => config,
-        Err(text) => return failed(Rule::Episode, text),
-    };
+impl Run {
+    /// An episode that did not begin, or did not end.
+    fn failed(rule: Rule, text: String) -> Self {
+        Self {
+            failure: Some(Failure { time_ms: 0, rule, text }),
+            passed_ms: 0,
+        }
+    }
+}
+
+/// The configuration of an episode, and its cell before power-up.
+fn prepared(episode: &Episode) -> Result<(Config, World), Run> {
+    let config = episode
+        .configuration()
+        .map_err(|text| Run::failed(Rule::Episode, text))?;
     let options = CellOptions {
         seed: episode.seed,
         ..CellOptions::default()
     };
+    let world = World::new(Cell::new(&config, options));
+    Ok((config, world))
+}
+
+/// Runs an episode.
+#[must_use]
+pub fn run(episode: &Episode) -> Run {
     let outcome = catch_unwind(AssertUnwindSafe(|| {
-        let mut world = World::new(Cell::new(&config, options));
+        let (config, mut world) = match prepared(episode) {
+            Ok(prepared) => prepared,
+            Err(failed) => return failed,
+        };
         let mut operator = Operator::new(episode, config, world.clone());
         let passed_ms = simulation::run(&mut world, &mut operator, LIMIT_MS);
         Run {
@@ -126,7 +141,7 @@ pub fn run(episode: &Episode) -> Run {
     outcome.unwrap_or_else(|cause| {
         let text = cause.downcast_ref::<String>().cloned();
         let text = text.or_else(|| cause.downcast_ref::<&str>().map(|text| (*text).to_owned()));
-        failed(Rule::Panic, text.unwrap_or_else(|| "a panic without words".to_owned()))
+        Run::failed(Rule::Panic, text.unwrap_or_else(|| "a panic without words".to_owned()))
     })
 }
 

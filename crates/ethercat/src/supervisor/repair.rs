@@ -196,12 +196,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     pub(super) async fn identify(&mut self, place: u16, places: &Places) -> Result<FixedPart, BusError> {
         discovery::assign_station(&mut self.port, place, STATION_TEMPORARY).await?;
         let there = self.settled_places().await?;
-        let is_gone = |station: &&u16| self.number_of(**station).is_some() && !there.contains(station);
-        let mut gone = places.iter().filter(is_gone).copied();
-        if let Some(station) = gone.next() {
-            // Of several that are gone nobody knows which has the address now.
-            let station = if gone.next().is_none() { station } else { 0 };
-            self.name(station).await?;
+        if there.len() != places.len() {
+            self.name(self.renamed(places, &there)).await?;
             return Err(BusError::SlaveCount {
                 expected: places.len() as u16,
                 actual: there.len() as u16,
@@ -212,6 +208,19 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             self.name(0).await?;
         }
         fixed
+    }
+
+    /// The address that the slave with the temporary one had before slaves returned in front of it; 0 if it had none, or
+    /// if nobody can know.
+    fn renamed(&self, places: &Places, there: &Places) -> u16 {
+        let returned = there.len().saturating_sub(places.len());
+        let before = there
+            .iter()
+            .position(|station| *station == STATION_TEMPORARY)
+            .and_then(|place| place.checked_sub(returned));
+        let station = before.and_then(|place| places.get(place)).copied().unwrap_or(0);
+        let is_gone = returned > 0 && self.number_of(station).is_some() && !there.contains(&station);
+        if is_gone { station } else { 0 }
     }
 
     /// Gives the slave with the temporary address its own, or none with 0. Not by its place: a slave that returns

@@ -49,6 +49,8 @@ pub(crate) struct Drawing {
     /// The job that was ordered and is not answered, where the tool was then, and its vertices: place in the path,
     /// position, whether the pen is down.
     next: Option<u16>,
+    /// The job that was ordered before it and is not answered either.
+    replaced: Option<u16>,
     /// The drawing whose answer was lost, and where its path ends so far.
     unanswered: Option<(u16, Option<Vector>)>,
     ordered_at: Option<Vector>,
@@ -78,6 +80,7 @@ impl Drawing {
         Self {
             job: None,
             next: None,
+            replaced: None,
             unanswered: None,
             ordered_at: None,
             waiting: Vec::new(),
@@ -102,7 +105,8 @@ impl Drawing {
     pub(crate) fn take(&mut self, cell: &Cell, bounds: &Bounds, tool: Option<Vector>, input: &Input) {
         match *input {
             Input::Commanded(Command::Draw { job }) => {
-                (self.next, self.ordered_at) = (Some(job), tool);
+                self.replaced = self.next.replace(job);
+                self.ordered_at = tool;
                 self.waiting.clear();
             }
             Input::Commanded(command @ Command::Move { position_mm }) => {
@@ -129,7 +133,7 @@ impl Drawing {
                 }
             }
             Input::Restarted => {
-                (self.job, self.next, self.unanswered) = (None, None, None);
+                (self.job, self.next, self.replaced, self.unanswered) = (None, None, None, None);
                 self.waiting.clear();
             }
             _ => {}
@@ -140,7 +144,17 @@ impl Drawing {
     pub(crate) fn hear(&mut self, cell: &Cell, bounds: &Bounds, report: &Report) {
         match *report {
             Report::Accepted(Command::Draw { job }) if self.next == Some(job) => self.begin(cell, bounds),
-            Report::Refused(Command::Draw { job }) if self.next == Some(job) => self.forget_asked(),
+            Report::Accepted(Command::Draw { job }) if self.replaced == Some(job) => self.begin_as(job),
+            Report::Refused(Command::Draw { job }) if self.next == Some(job) => {
+                self.next = None;
+                let waiting = std::mem::take(&mut self.waiting);
+                if self.job == Some(job) {
+                    // The drawing of that number was begun by an earlier order: the path is its own.
+                    for (index, position_mm, pen_down) in waiting {
+                        self.go_on(cell, bounds, index, position_mm, pen_down);
+                    }
+                }
+            }
             Report::Refused(command @ (Command::Move { .. } | Command::Pen { .. })) => {
                 let refused = self
                     .singles
@@ -158,7 +172,7 @@ impl Drawing {
 
     /// The drawing that was ordered last is not waited for any more: it was refused, or the robot stands or stops.
     pub(crate) fn forget_asked(&mut self) {
-        self.next = None;
+        (self.next, self.replaced) = (None, None);
         self.waiting.clear();
     }
 
@@ -185,7 +199,15 @@ impl Drawing {
     /// The drawing that was ordered last was accepted and begins.
     pub(crate) fn begin(&mut self, cell: &Cell, bounds: &Bounds) {
         let Some(job) = self.next.take() else { return };
-        (self.job, self.unanswered) = (Some(job), None);
+        self.begin_as(job);
+        for (index, position_mm, pen_down) in std::mem::take(&mut self.waiting) {
+            self.go_on(cell, bounds, index, position_mm, pen_down);
+        }
+    }
+
+    /// A drawing of this number begins, without a path so far.
+    fn begin_as(&mut self, job: u16) {
+        (self.job, self.unanswered, self.replaced) = (Some(job), None, None);
         self.end = self.ordered_at;
         self.legs.clear();
         self.grid.clear();
@@ -193,9 +215,6 @@ impl Drawing {
         self.ink.clear();
         (self.vertices, self.limit, self.cursor) = (0, u32::MAX, 0);
         (self.is_too_much, self.was_disturbed, self.is_told) = (false, false, false);
-        for (index, position_mm, pen_down) in std::mem::take(&mut self.waiting) {
-            self.go_on(cell, bounds, index, position_mm, pen_down);
-        }
     }
 
     /// The path goes on to a vertex; one that repeats an earlier one is ignored.

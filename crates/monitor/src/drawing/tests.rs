@@ -21,6 +21,49 @@ fn drawing(points: &[([f64; 2], bool)]) -> (Cell, Bounds, Drawing) {
     (cell, bounds, drawing)
 }
 
+#[test]
+fn of_two_orders_at_once_the_path_of_the_accepted_one_counts() {
+    let (cell, bounds) = (Cell::default(), Bounds::new(&Cell::default()));
+    let order = |job| Input::Commanded(Command::Draw { job });
+    let vertex = |job, index, x| Input::PathVertex {
+        job,
+        index,
+        position_mm: [x, 0.0, -850.0],
+        pen_down: index > 0,
+    };
+    // The numbers of both orders, and which of them was accepted.
+    for (first, second, accepted) in [(7, 8, 7), (7, 8, 8), (7, 7, 7)] {
+        let mut drawing = Drawing::new();
+        for input in [order(first), order(second), vertex(8, 0, 0.0), vertex(8, 1, 20.0)] {
+            drawing.take(&cell, &bounds, None, &input);
+        }
+        for (index, x) in [(0, 0.0), (1, 40.0)] {
+            drawing.take(&cell, &bounds, None, &vertex(7, index, x));
+        }
+        let answers = match accepted == first {
+            true => [
+                Report::Accepted(Command::Draw { job: first }),
+                Report::Refused(Command::Draw { job: second }),
+            ],
+            false => [
+                Report::Refused(Command::Draw { job: first }),
+                Report::Accepted(Command::Draw { job: second }),
+            ],
+        };
+        for report in answers {
+            drawing.hear(&cell, &bounds, &report);
+        }
+        let touches = |x| drawing.may_touch(&bounds, &[x, 0.0, -850.0], 0.0);
+        match (first, second, accepted) {
+            (7, 7, _) => assert!(touches(30.0)),
+            (_, _, 8) => assert!(touches(10.0) && !touches(30.0)),
+            // The path came while the other order was waited for: nothing is known of it.
+            _ => assert!(!touches(10.0)),
+        }
+        assert_eq!(drawing.job, Some(accepted));
+    }
+}
+
 proptest! {
     #[test]
     fn every_point_of_the_path_is_on_it_and_points_far_from_it_are_not(

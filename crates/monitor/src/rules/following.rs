@@ -3,7 +3,7 @@
 //! The setpoints stay within the tolerance of the polyline of legs, and the tool within the following error of them:
 //! 0.3 mm (`Cell::following_mm`), and half the acceleration times the square of a lag of 4 ms. Between parts of a
 //! drawing the pen is lifted and lowered straight above the path. A disturbance widens the bound as it does for the
-//! pen.
+//! pen. A robot that stands without power follows nothing.
 
 use crate::scene::{Finding, Scene};
 use crate::violation::Rule;
@@ -17,7 +17,9 @@ impl Following {
         let (Some(place), Some(more_mm), Some([x, y, z])) = (scene.place, scene.more_mm, scene.motion.tool) else {
             return Ok(());
         };
-        if place.is_on_path {
+        // A robot that stands without power was stopped, and the report of it may be lost.
+        let stands_off = !scene.motion.moves && !scene.motion.has_power.contains(&true);
+        if place.is_on_path || stands_off {
             return Ok(());
         }
         let bound = scene.bounds.travel_mm + more_mm;
@@ -54,6 +56,26 @@ mod tests {
         let mut rig = Rig::drawing_on_paper();
         let found = rig.go_to([10.0, 0.0, -840.0], 100);
         assert!(broken(&found, Rule::Following), "{found:?}");
+    }
+
+    #[test]
+    fn a_robot_that_false_feedback_led_astray_may_stand_there_without_power() {
+        let mut rig = Rig::drawing_on_paper();
+        assert_eq!(rig.go_to([20.0, 0.0, -847.0], 100), Ok(()));
+        rig.input(Input::Feedback {
+            axis: 1,
+            disturbed: true,
+        });
+        assert_eq!(rig.go_to([20.0, 2.0, -847.0], 50), Ok(()));
+        rig.power(false);
+        rig.input(Input::Feedback {
+            axis: 1,
+            disturbed: false,
+        });
+        assert_eq!(rig.run(1_000), Ok(()), "the report of its fault is lost");
+        rig.power(true);
+        let found = rig.run(1_000);
+        assert!(found.is_err(), "with power it has to be on its path");
     }
 
     #[test]

@@ -120,6 +120,15 @@ mod tests {
         }
     }
 
+    /// Ink beside a line along x is found, by one rule or the other.
+    fn assert_beside_is_found(rig: &mut Rig, x: f64) {
+        let found = rig.go_to([x, 4.0, -850.0], 40);
+        assert!(
+            broken(&found, Rule::Pen) || broken(&found, Rule::Following),
+            "{found:?}"
+        );
+    }
+
     #[test]
     fn a_drawing_whose_refusal_was_lost_excuses_no_touch_later() {
         let mut rig = Rig::idle_at([0.0, 0.0, -840.0]);
@@ -140,11 +149,7 @@ mod tests {
         rig.input(Input::Commanded(Command::Draw { job: 9 }));
         assert_eq!(rig.run(1_200), Ok(()));
         assert_eq!(rig.go_to([20.0, 0.0, -850.0], 200), Ok(()));
-        let found = rig.go_to([20.0, 4.0, -850.0], 40);
-        assert!(
-            broken(&found, Rule::Pen) || broken(&found, Rule::Following),
-            "{found:?}"
-        );
+        assert_beside_is_found(&mut rig, 20.0);
     }
 
     #[test]
@@ -164,11 +169,7 @@ mod tests {
         assert_eq!(rig.go_to([0.0, 0.0, -850.0], 60), Ok(()));
         assert_eq!(rig.run(1_200), Ok(()));
         assert_eq!(rig.go_to([30.0, 0.0, -850.0], 200), Ok(()));
-        let found = rig.go_to([30.0, 4.0, -850.0], 40);
-        assert!(
-            broken(&found, Rule::Pen) || broken(&found, Rule::Following),
-            "{found:?}"
-        );
+        assert_beside_is_found(&mut rig, 30.0);
     }
 
     #[test]
