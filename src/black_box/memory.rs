@@ -61,7 +61,7 @@ pub(super) enum State {
     Recording = 0x626C_6B31,
     /// An earlier run's recording, kept until the host discards it.
     KeptAfterCrash = 0x626C_6B32,
-    /// An earlier run's recording, kept until a drive is enabled.
+    /// An earlier run's recording, kept until a drive is enabled, for two minutes at most.
     KeptAfterReset = 0x626C_6B33,
 }
 
@@ -78,7 +78,7 @@ impl State {
 pub enum Keep {
     /// The memory had no power: there are none.
     Nothing,
-    /// The run ended with a reset from outside: they are kept until a drive is enabled.
+    /// The run ended with a reset from outside: they are kept until a drive is enabled, for two minutes at most.
     UntilEnabled,
     /// The run ended with a panic or by the watchdog: they are kept until they are discarded.
     UntilDiscarded,

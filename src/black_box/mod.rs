@@ -7,7 +7,7 @@
 //! with [`recording::Recording`].
 //!
 //! A recording of a run that ended is kept: after a crash until it is discarded, after any other reset until a drive is
-//! enabled again. Nothing is recorded meanwhile.
+//! enabled again, for two minutes at most. Nothing is recorded meanwhile.
 //!
 //! Invariants: each area has one writer; what an area's counters announce is complete, whenever a reset comes; all
 //! writes are whole words, because a memory with error correction holds back a part of a word until the next write.

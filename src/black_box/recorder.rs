@@ -8,6 +8,10 @@ use crate::drives::cia402::{DriveState, StatusWord};
 use crate::ethercat::queue;
 use heapless::spsc::{Consumer, Producer};
 
+/// How long the recording of a run that was reset from outside is kept, ms: a firmware that crashes before a drive is
+/// enabled has to be recorded, too.
+const KEPT_AFTER_RESET_MS: u32 = 120_000;
+
 /// Records each millisecond and hands its report on.
 pub struct Recorder<'a> {
     memory: &'a Memory,
@@ -18,6 +22,8 @@ pub struct Recorder<'a> {
     dropped: u32,
     /// The last report's millisecond.
     cycle: u32,
+    /// Milliseconds for which an earlier recording was kept.
+    kept_ms: u32,
 }
 
 impl<'a> Recorder<'a> {
@@ -34,6 +40,7 @@ impl<'a> Recorder<'a> {
             frames: FrameRing::new(),
             dropped: 0,
             cycle: 0,
+            kept_ms: 0,
         }
     }
 
@@ -63,10 +70,12 @@ impl<'a> Recorder<'a> {
     }
 
     /// A millisecond that is not recorded: ends what keeps the recorder from it.
-    fn step_aside(&self, report: &CycleReport) {
+    fn step_aside(&mut self, report: &CycleReport) {
         self.memory.shorten_pause();
-        let enabled = |word: &u16| StatusWord(*word).state() == DriveState::OperationEnabled;
-        if self.memory.state() == Some(State::KeptAfterReset) && report.status_word.iter().any(enabled) {
+        self.kept_ms = self.kept_ms.saturating_add(1);
+        let is_enabled = |word: &u16| StatusWord(*word).state() == DriveState::OperationEnabled;
+        let is_over = self.kept_ms >= KEPT_AFTER_RESET_MS || report.status_word.iter().any(is_enabled);
+        if is_over && self.memory.state() == Some(State::KeptAfterReset) {
             self.memory.clear();
         }
     }

@@ -395,6 +395,22 @@ fn the_recording_of_a_crash_is_kept_until_it_is_discarded_and_that_of_a_reset_un
 }
 
 #[test]
+fn the_recording_of_a_reset_makes_way_after_two_minutes_and_that_of_a_crash_does_not() {
+    let mut random = Random(10);
+    let frames = NoFrames::default();
+    for (keep, is_kept) in [(Keep::UntilEnabled, false), (Keep::UntilDiscarded, true)] {
+        let memory = memory();
+        Rig::new(memory).tick(report(1, &mut random), &frames);
+        memory.start(keep);
+        let mut rig = Rig::new(memory);
+        (0..119_999).for_each(|cycle| rig.tick(report(cycle, &mut random), &frames));
+        assert!(memory.is_kept());
+        (0..2).for_each(|cycle| rig.tick(report(cycle, &mut random), &frames));
+        assert_eq!(memory.is_kept(), is_kept);
+    }
+}
+
+#[test]
 fn a_planned_restart_leaves_nothing_and_keeps_an_earlier_crash() {
     let mut random = Random(6);
     let memory = memory();

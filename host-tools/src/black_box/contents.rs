@@ -175,7 +175,7 @@ pub fn origin_text(origin: Origin) -> &'static str {
     match origin {
         Origin::Present => "the present run, which goes on",
         Origin::Crashed => "a run that ended with a panic or by the watchdog; kept until it is discarded",
-        Origin::Reset => "a run that was reset from outside; kept until a drive is enabled",
+        Origin::Reset => "a run that was reset from outside; kept until a drive is enabled, for two minutes at most",
     }
 }
 

@@ -213,10 +213,13 @@ pub fn previous_run(previous: &PreviousRun) -> Option<String> {
         RunEnd::Watchdog => "the watchdog ended the firmware's last run: a task did not run".into(),
         RunEnd::Panic(cause) => format!("the firmware's last run ended by itself: {cause}; please report it"),
     };
-    Some(match &previous.fault {
-        Some(last) => format!("{end}; its last fault was: {}", fault(last)),
-        None => end,
-    })
+    let last = previous.fault.as_ref();
+    let last = last.map_or_else(String::new, |last| format!("; its last fault was: {}", fault(last)));
+    let recorded = match previous.end {
+        RunEnd::Watchdog | RunEnd::Panic(_) => "; its last two seconds: etherpen blackbox",
+        RunEnd::PowerOff | RunEnd::Reset => "",
+    };
+    Some(end + &last + recorded)
 }
 
 fn one(index: u8) -> u16 {
