@@ -238,7 +238,7 @@ impl Memory {
         self.store(count, (self.load(count) + 1).min(most as u32));
     }
 
-    /// First and next position of the ring of frames; see [`FrameRing`].
+    /// First and next position of the ring of frames.
     pub(super) fn frame_positions(&self) -> (usize, usize) {
         let position = |index| self.load(index) as usize % (2 * FRAME_WORDS);
         (position(FRAME_FIRST), position(FRAME_NEXT))

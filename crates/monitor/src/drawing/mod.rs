@@ -110,12 +110,13 @@ impl Drawing {
                 self.waiting.clear();
             }
             Input::Commanded(command @ Command::Move { position_mm }) => {
-                self.order_single(command, tool, position_mm, bounds);
+                self.order_single(cell, command, tool, position_mm, bounds);
             }
             Input::Commanded(command @ Command::Pen { down }) => {
                 if let Some([x, y, _]) = tool {
                     let lift_mm = if down { 0.0 } else { cell.paper.pen_lift_mm };
-                    self.order_single(command, tool, [x, y, cell.paper.pen_down_z_mm + lift_mm], bounds);
+                    let to = [x, y, cell.paper.pen_down_z_mm + lift_mm];
+                    self.order_single(cell, command, tool, to, bounds);
                 }
             }
             Input::PathVertex {
@@ -229,11 +230,12 @@ impl Drawing {
         self.append(position_mm, pen_down, bounds);
     }
 
-    fn order_single(&mut self, command: Command, tool: Option<Vector>, to: Vector, bounds: &Bounds) {
+    fn order_single(&mut self, cell: &Cell, command: Command, tool: Option<Vector>, to: Vector, bounds: &Bounds) {
         let Some(from) = tool.filter(|_| is_finite(&to)) else {
             return;
         };
-        let leg = Leg::new(from, to, false, bounds.touch_z_mm);
+        // The tool may be as much lower as it follows; on a flat leg the pen then leaves the paper much later.
+        let leg = Leg::new(from, to, false, bounds.touch_z_mm + cell.following_mm);
         if let Some(single) = self.singles.get_mut(self.single) {
             *single = Some((command, leg));
         }

@@ -107,6 +107,16 @@ mod tests {
     }
 
     #[test]
+    fn a_flat_move_that_rises_from_the_paper_may_draw_as_long_as_the_tool_follows_low() {
+        let mut rig = Rig::idle_at([0.0, 0.0, -847.0]);
+        rig.command(Command::Pen { down: true });
+        assert_eq!(rig.go_to([0.0, 0.0, -850.0], 50), Ok(()));
+        let target = [100.0, 0.0, -848.0];
+        rig.command(Command::Move { position_mm: target });
+        assert_eq!(rig.go_to([30.0, 0.0, -849.6], 300), Ok(()), "0.2 mm below the line");
+    }
+
+    #[test]
     fn a_pen_order_and_a_jog_may_touch() {
         let mut rig = Rig::idle_at([5.0, 0.0, -847.0]);
         rig.command(Command::Pen { down: true });
