@@ -54,7 +54,7 @@ impl Operator<'_> {
         }
     }
 
-    /// Injects a fault of the segment's script; [`Episode::parse`] has read its words before.
+    /// Injects a fault of the segment's script; the reader of the episode has checked its words.
     pub(super) fn inject(&mut self, words: &str) {
         let Ok(fault) = words.parse::<Fault>() else { return };
         if let Fault::Swap(slave, _) = fault {
