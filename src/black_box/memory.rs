@@ -111,7 +111,7 @@ impl Memory {
         Self([const { AtomicU32::new(0) }; WORDS])
     }
 
-    /// Decides what becomes of the earlier contents; call it at the start, before a [`Recorder`] runs. An earlier
+    /// Decides what becomes of the earlier contents; call it at the start, before a [`Recorder`](super::Recorder) runs. An earlier
     /// recording that is still kept stays.
     pub fn start(&self, keep: Keep) {
         let known = keep != Keep::Nothing && self.load(VERSION) == LAYOUT;
