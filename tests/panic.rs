@@ -2,7 +2,7 @@
 //! black box holds the last two seconds as they were on the wire.
 
 use etherpen::application::Mode;
-use etherpen::black_box::recording::Recording;
+use etherpen::black_box::recording::{Origin, Recording};
 use etherpen::black_box::{Direction, Event, SAMPLES};
 use etherpen::config::Config;
 use host_tools::cell::{AlState, Cell, CellOptions, DriveState};
@@ -120,6 +120,7 @@ fn a_panic_in_motion_stops_the_drives_by_one_last_telegram_and_names_its_cause()
 /// millisecond.
 fn check_black_box(image: &[u8], wire: &[(Direction, Vec<u8>)]) {
     let recording = Recording::new(image).expect("a recording");
+    assert_eq!(recording.origin(), Origin::Crashed);
     let samples: Vec<_> = recording.samples().collect();
     assert_eq!(samples.len(), SAMPLES);
     assert!(

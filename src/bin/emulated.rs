@@ -282,8 +282,8 @@ mod app {
 
     /// Records the last millisecond and its frames in the black box, hands its report on, then releases `link`.
     ///
-    /// Period: 1 ms, pended by `host_bytes`. Priority: 8. Deadline: 4 ms. Overrun: releases merge; frames that nobody
-    /// has copied by then are missing in the black box, which counts them.
+    /// Period: 1 ms, pended by `host_bytes`. Priority: 8. Deadline: 4 ms, for the frames 2 ms. Overrun: releases
+    /// merge; frames that nobody has copied by then are missing in the black box, which counts them.
     #[task(binds = FREE18, priority = 8, shared = [&measurements], local = [recorder])]
     fn record(context: record::Context) {
         let measurements = context.shared.measurements;

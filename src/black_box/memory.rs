@@ -8,7 +8,7 @@
 //! | frames | the rest | a ring of frames of different lengths: time, millisecond, length and direction, bytes |
 
 use crate::board::RunEnd;
-use core::sync::atomic::{AtomicU32, Ordering};
+use core::sync::atomic::{AtomicU32, Ordering, fence};
 
 /// Size of the black box, bytes.
 pub const MEMORY_BYTES: usize = 262_144;
@@ -121,6 +121,8 @@ impl Memory {
                 Keep::UntilEnabled | Keep::Nothing => State::KeptAfterReset,
             }),
             Some(State::Recording) | None => None,
+            // A firmware that crashes again and again is recorded from the second time on.
+            Some(State::KeptAfterReset) if keep == Keep::UntilDiscarded => None,
             kept => kept,
         };
         match kept {
@@ -152,9 +154,9 @@ impl Memory {
         self.store(STATE, State::Recording as u32);
     }
 
-    /// Sets the rate of the counter that stamps frames, Hz; call it after [`Self::start`].
+    /// Sets the rate of the counter that stamps frames, Hz; call it after [`Self::start`]. A kept recording is of the same
+    /// board and has the same rate.
     pub fn set_counts_per_s(&self, counts_per_s: u32) {
-        // A kept recording keeps its own: both are of the same board.
         self.store(COUNTS_PER_S, counts_per_s);
     }
 
@@ -169,11 +171,16 @@ impl Memory {
 
     /// Whether recordings go on and no host is reading.
     pub(super) fn takes(&self) -> bool {
-        self.state() == Some(State::Recording) && self.load(PAUSE_MS) == 0
+        self.state() == Some(State::Recording) && !self.is_read()
     }
 
     pub(super) fn has_no_events(&self) -> bool {
         self.load(EVENT_COUNT) == 0
+    }
+
+    /// Whether a host is reading.
+    pub(super) fn is_read(&self) -> bool {
+        self.load(PAUSE_MS) != 0
     }
 
     /// Interrupts recordings for a while.
@@ -221,6 +228,7 @@ impl Memory {
     pub(super) fn put_event(&self, words: &[u32; EVENT_WORDS]) {
         let slot = self.load(EVENT_NEXT) as usize % EVENTS;
         self.store(EVENT_COUNT, self.load(EVENT_COUNT).min(EVENTS as u32 - 1));
+        fence(Ordering::Release);
         self.put(EVENTS_AT + slot * EVENT_WORDS, words);
         self.announce(EVENT_NEXT, EVENT_COUNT, slot, (EVENTS, EVENTS));
     }
@@ -232,6 +240,8 @@ impl Memory {
     }
 
     fn announce(&self, next: usize, count: usize, slot: usize, (slots, most): (usize, usize)) {
+        // The entry is in the memory before it is announced.
+        fence(Ordering::Release);
         let following = if slot + 1 < slots { slot + 1 } else { 0 };
         // In this order: a reset between the two leaves one entry unannounced, and never announces one too many.
         self.store(next, following as u32);
@@ -246,9 +256,12 @@ impl Memory {
 
     pub(super) fn set_frame_first(&self, position: usize) {
         self.store(FRAME_FIRST, position as u32);
+        // The oldest frame is taken back before it is overwritten.
+        fence(Ordering::Release);
     }
 
     pub(super) fn set_frame_next(&self, position: usize) {
+        fence(Ordering::Release);
         self.store(FRAME_NEXT, position as u32);
     }
 

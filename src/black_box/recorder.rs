@@ -75,7 +75,7 @@ impl<'a> Recorder<'a> {
         self.kept_ms = self.kept_ms.saturating_add(1);
         let is_enabled = |word: &u16| StatusWord(*word).state() == DriveState::OperationEnabled;
         let is_over = self.kept_ms >= KEPT_AFTER_RESET_MS || report.status_word.iter().any(is_enabled);
-        if is_over && self.memory.state() == Some(State::KeptAfterReset) {
+        if is_over && !self.memory.is_read() && self.memory.state() == Some(State::KeptAfterReset) {
             self.memory.clear();
         }
     }

@@ -5,7 +5,7 @@
 
 use super::episode::{Episode, What};
 use super::operator::Operator;
-use super::{Failure, LIMIT_MS, Rule, Run, prepared};
+use super::{Failure, LIMIT_MS, Rule, Run, caught, prepared};
 use crate::emulator::{Emulator, EmulatorError, LINK_BYTES_MAX, Link, Options, Traffic};
 use crate::simulation::Host;
 use std::path::Path;
@@ -44,6 +44,10 @@ pub fn for_the_image(episode: &Episode) -> Episode {
 /// Runs an episode of [`for_the_image`] against a firmware image.
 #[must_use]
 pub fn run_image(image: &Path, episode: &Episode) -> Run {
+    caught(|| run_uncaught(image, episode))
+}
+
+fn run_uncaught(image: &Path, episode: &Episode) -> Run {
     let (config, world) = match prepared(episode) {
         Ok(prepared) => prepared,
         Err(failed) => return failed,

@@ -126,7 +126,7 @@ fn prepared(episode: &Episode) -> Result<(Config, World), Run> {
 /// Runs an episode.
 #[must_use]
 pub fn run(episode: &Episode) -> Run {
-    let outcome = catch_unwind(AssertUnwindSafe(|| {
+    caught(|| {
         let (config, mut world) = match prepared(episode) {
             Ok(prepared) => prepared,
             Err(failed) => return failed,
@@ -137,7 +137,12 @@ pub fn run(episode: &Episode) -> Run {
             failure: operator.into_failure(),
             passed_ms,
         }
-    }));
+    })
+}
+
+/// The result of `episode`; its panic is one.
+fn caught(episode: impl FnOnce() -> Run) -> Run {
+    let outcome = catch_unwind(AssertUnwindSafe(episode));
     outcome.unwrap_or_else(|cause| {
         let text = cause.downcast_ref::<String>().cloned();
         let text = text.or_else(|| cause.downcast_ref::<&str>().map(|text| (*text).to_owned()));

@@ -280,11 +280,12 @@ impl Controller {
     fn read_pieces(&mut self, progress: impl Fn(usize)) -> Result<Memory, ProgramError> {
         let mut reader = Reader::new();
         let (mut useless, mut stalled) = (0, false);
-        let mut answered: Option<Instant> = None;
+        let mut before: Option<Instant> = None;
         while let Some(request) = reader.request() {
+            let asked = Instant::now();
             let answer = self.ask(request)?;
-            stalled |= answered.is_some_and(|before| before.elapsed() > PAUSE_MAX);
-            answered = Some(Instant::now());
+            stalled |= before.is_some_and(|before| before.elapsed() > PAUSE_MAX);
+            before = Some(asked);
             useless = if reader.take(&answer) { 0 } else { useless + 1 };
             if useless > USELESS_MAX {
                 let text = "the controller does not send the piece that was asked for; reset it and try again";

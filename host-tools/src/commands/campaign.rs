@@ -86,7 +86,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let begun = Instant::now();
     let (episodes, virtual_ms, failures) = match arguments.replay.is_empty() {
         true => of_seeds(arguments)?,
-        false => of_files(&arguments.replay, &runner(arguments)?)?,
+        false => of_files(arguments)?,
     };
     let virtual_hours = virtual_ms as f64 / 3.6e6;
     let times_real_time = virtual_ms as f64 / 1e3 / begun.elapsed().as_secs_f64().max(1e-9);
@@ -167,7 +167,8 @@ fn of_seeds(arguments: &Arguments) -> Result<Outcome, ProgramError> {
     Ok((summary.episodes, summary.virtual_ms, failures))
 }
 
-fn of_files(files: &[PathBuf], run: &Runner) -> Result<Outcome, ProgramError> {
+fn of_files(arguments: &Arguments) -> Result<Outcome, ProgramError> {
+    let (run, files) = (runner(arguments)?, &arguments.replay);
     let (mut virtual_ms, mut failures) = (0, Vec::new());
     for file in files {
         let run = run(&Episode::read(file)?);
@@ -177,7 +178,7 @@ fn of_files(files: &[PathBuf], run: &Runner) -> Result<Outcome, ProgramError> {
             failures.push(ReportedFailure {
                 seed: None,
                 what: failure.to_string(),
-                replay: replay_file(file),
+                replay: replay_file(file) + emulated(arguments),
             });
         }
     }
@@ -224,11 +225,16 @@ fn replay_seed(seed: u64, arguments: &Arguments) -> String {
         .profile
         .to_possible_value()
         .map_or_else(String::new, |value| value.get_name().to_owned());
-    let emulated = if arguments.emulated { " --emulated" } else { "" };
+    let emulated = emulated(arguments);
     format!(
         "etherpen campaign --seeds {seed}..{} --profile {profile}{emulated}",
         seed + 1
     )
+}
+
+/// The option for the image, if it was given, for a command line.
+fn emulated(arguments: &Arguments) -> &'static str {
+    if arguments.emulated { " --emulated" } else { "" }
 }
 
 fn replay_file(file: &Path) -> String {

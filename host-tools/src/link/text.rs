@@ -216,7 +216,7 @@ pub fn previous_run(previous: &PreviousRun) -> Option<String> {
     let last = previous.fault.as_ref();
     let last = last.map_or_else(String::new, |last| format!("; its last fault was: {}", fault(last)));
     let recorded = match previous.end {
-        RunEnd::Watchdog | RunEnd::Panic(_) => "; its last two seconds: etherpen blackbox",
+        RunEnd::Watchdog | RunEnd::Panic(_) => "; its last two seconds may be kept: etherpen blackbox",
         RunEnd::PowerOff | RunEnd::Reset => "",
     };
     Some(end + &last + recorded)

@@ -318,8 +318,9 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 ..expected
             };
             let work = pin!(bus.rescan());
-            // After an interruption the inspection is repeated at the next suspicion.
-            if inbox.guard(expected, false, work).await.is_ok() {
+            let result = inbox.guard(expected, false, work).await;
+            // A chain that has changed meanwhile is looked through again at the next suspicion.
+            if !matches!(result, Err(_) | Ok(Err(BusError::SlaveCount { .. }))) {
                 self.slaves_sorted = there;
             }
         } else if there <= self.bus.present() {

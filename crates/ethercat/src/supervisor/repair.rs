@@ -87,10 +87,13 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             let before = found;
             found = discovery::count(&mut self.port).await?;
             if found == before {
-                break;
+                return Ok(places);
             }
         }
-        Ok(places)
+        Err(BusError::SlaveCount {
+            expected: places.len() as u16,
+            actual: found,
+        })
     }
 
     /// The number of the slave with a station address, if it belongs to this bus.
@@ -188,36 +191,54 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         (first..last).map(|number| number as u8).collect()
     }
 
-    /// Gives the slave at a place without an address the temporary one and reads its fixed part; [`Self::name`] has to
-    /// follow. After an error no slave has the temporary address.
-    ///
-    /// A slave that has returned since the places were read shifts them: then another slave has got the address, and
-    /// gets back the one that it had.
-    pub(super) async fn identify(&mut self, place: u16, places: &Places) -> Result<FixedPart, BusError> {
-        discovery::assign_station(&mut self.port, place, STATION_TEMPORARY).await?;
-        let there = self.settled_places().await?;
-        if there.len() != places.len() {
-            self.name(self.renamed(places, &there)).await?;
-            return Err(BusError::SlaveCount {
-                expected: places.len() as u16,
-                actual: there.len() as u16,
-            });
-        }
-        let fixed = information::fixed_part(&mut self.port, STATION_TEMPORARY).await;
+    /// Identifies the slave at a place without an address, which then has the temporary one; [`Self::name`] has to
+    /// follow, unless this fails.
+    async fn identify(&mut self, place: u16, places: &Places) -> Result<FixedPart, BusError> {
+        self.mark(place, places).await?;
+        let fixed = self.read_marked().await;
         if fixed.is_err() {
             self.name(0).await?;
         }
         fixed
     }
 
+    /// The fixed part of the slave with the temporary address.
+    pub(super) async fn read_marked(&mut self) -> Result<FixedPart, BusError> {
+        information::fixed_part(&mut self.port, STATION_TEMPORARY).await
+    }
+
+    /// Gives the slave at a place without an address the temporary one, and looks whether it was that slave: one that has
+    /// returned since the places were read shifts them. Then another slave has got the address, and gets back the one
+    /// that it had.
+    pub(super) async fn mark(&mut self, place: u16, places: &Places) -> Result<(), BusError> {
+        let there = match discovery::assign_station(&mut self.port, place, STATION_TEMPORARY).await {
+            Ok(()) => self.settled_places().await,
+            Err(error) => Err(error),
+        };
+        let station = match &there {
+            Ok(there) if is_marked(place, places, there) => return Ok(()),
+            Ok(there) => self.renamed(places, there),
+            Err(_) => 0,
+        };
+        self.name(station).await?;
+        Err(BusError::SlaveCount {
+            expected: places.len() as u16,
+            actual: there?.len() as u16,
+        })
+    }
+
     /// The address that the slave with the temporary one had before slaves returned in front of it; 0 if it had none, or
     /// if nobody can know.
     fn renamed(&self, places: &Places, there: &Places) -> u16 {
         let returned = there.len().saturating_sub(places.len());
-        let before = there
+        let mut marked = there
             .iter()
-            .position(|station| *station == STATION_TEMPORARY)
-            .and_then(|place| place.checked_sub(returned));
+            .enumerate()
+            .filter(|(_, there)| **there == STATION_TEMPORARY);
+        let (Some((place, _)), None) = (marked.next(), marked.next()) else {
+            return 0;
+        };
+        let before = place.checked_sub(returned);
         let station = before.and_then(|place| places.get(place)).copied().unwrap_or(0);
         let is_gone = returned > 0 && self.number_of(station).is_some() && !there.contains(&station);
         if is_gone { station } else { 0 }
@@ -288,6 +309,16 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             None => Ok(()),
         }
     }
+}
+
+/// Whether the slave at a place, and no other, has got the temporary address, and all others are where they were. One
+/// that was exchanged meanwhile has lost its address.
+fn is_marked(place: u16, places: &Places, there: &Places) -> bool {
+    let is_as_before = |(number, (before, now)): (usize, (&u16, &u16))| match number == usize::from(place) {
+        true => *now == STATION_TEMPORARY,
+        false => now == before || *now == 0,
+    };
+    places.len() == there.len() && places.iter().zip(there).enumerate().all(is_as_before)
 }
 
 /// Whether an identity has a slave's own serial number.

@@ -8,8 +8,7 @@
 //!
 //! Invariant: the rescan changes no slave's state and gives no slave process data.
 
-use super::super::configure::discovery;
-use super::super::configure::discovery::{STATION_BASE, STATION_TEMPORARY};
+use super::super::configure::discovery::STATION_BASE;
 use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
 use super::super::event::BusEvent;
@@ -26,16 +25,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             if self.number_of(*station).is_some() {
                 continue;
             }
-            let fixed = match self.identify(place, &places).await {
-                Ok(fixed) => fixed,
-                // The chain has changed meanwhile; it is looked through again.
-                Err(changed @ BusError::SlaveCount { .. }) => return Err(changed),
-                // A slave that cannot be read is an unknown device.
-                Err(_) => {
-                    discovery::assign_station(&mut self.port, place, STATION_TEMPORARY).await?;
-                    FixedPart::default()
-                }
-            };
+            self.mark(place, &places).await?;
+            // A slave that cannot be read is an unknown device.
+            let fixed = self.read_marked().await.unwrap_or_default();
             let belongs_here = |slave: &Slave<F>| {
                 let between = self.strangers_between(usize::from(slave.position), &places);
                 slave.condition == Condition::Lost && between.contains(&place)
