@@ -72,6 +72,8 @@ pub(super) struct Judge {
     /// Those among them that end only when they are put right.
     open: Vec<Open>,
     untrue: [u32; AXES],
+    /// Axes whose encoder was mounted again: their positions are true once the robot is homed.
+    mounted: [bool; AXES],
     axes: usize,
     configured: bool,
     /// The drawing that the operator orders, until its order reaches the board.
@@ -92,6 +94,7 @@ impl Judge {
             disturbances: 0,
             open: Vec::new(),
             untrue: [0; AXES],
+            mounted: [false; AXES],
             axes: config.axes.len(),
             configured: false,
             ordered: None,
@@ -147,6 +150,9 @@ impl Judge {
     }
 
     pub(super) fn answered(&mut self, command: &Command, accepted: bool) {
+        if accepted && matches!(command, Command::Home | Command::HomeAt { .. }) {
+            self.homed();
+        }
         let command = command_of(command);
         self.reports.push(match accepted {
             true => Report::Accepted(command),
@@ -252,16 +258,37 @@ impl Judge {
         }
     }
 
-    /// An axis's feedback has been put right.
+    /// An axis's encoder has been put right. One that had lost its position shows it again after the robot is homed:
+    /// until then the controller goes on from the false one.
     fn true_again(&mut self, slave: usize) {
         let axis = slave - 1;
         let Some(untrue) = self.untrue.get_mut(axis) else {
             return;
         };
-        *untrue = 0;
+        let disturbances = std::mem::take(untrue);
+        let before = self.ends.len();
         self.ends
             .retain(|(_, end)| !matches!(end, Input::Feedback { axis: other, .. } if *other == axis));
-        self.inputs.push(Input::Feedback { axis, disturbed: false });
+        let passing = before - self.ends.len();
+        if disturbances as usize > passing {
+            self.mounted[axis] = true;
+        } else if !self.mounted[axis] {
+            self.inputs.push(Input::Feedback { axis, disturbed: false });
+        }
+    }
+
+    /// The robot is homed: encoders that were mounted again show true positions.
+    fn homed(&mut self) {
+        for (axis, mounted) in self.mounted.iter_mut().enumerate() {
+            if std::mem::take(mounted) {
+                self.inputs.push(Input::Feedback { axis, disturbed: false });
+            }
+        }
+    }
+
+    /// Whether an encoder was mounted again, so that the robot has to be homed.
+    pub(super) fn asks_for_homing(&self) -> bool {
+        self.mounted.contains(&true)
     }
 
     /// The machine is disturbed for some milliseconds, or until it is healed.
@@ -298,7 +325,9 @@ impl Judge {
         self.open.clear();
         (self.disturbances, self.untrue) = (0, [0; AXES]);
         for axis in 0..self.axes {
-            self.inputs.push(Input::Feedback { axis, disturbed: false });
+            if !self.mounted[axis] {
+                self.inputs.push(Input::Feedback { axis, disturbed: false });
+            }
             self.inputs.push(Input::Drive { axis, deaf: false });
         }
         self.inputs.push(Input::Machine { disturbed: false });
@@ -555,6 +584,9 @@ mod tests {
             judge.end_disturbances(1_000 + AFTER_REPAIR_MS + 1);
             let left = (judge.disturbances, judge.untrue, judge.open.len());
             assert_eq!(left, (0, [0; AXES], 0), "{words}");
+            assert_eq!(judge.asks_for_homing(), words.starts_with("slip"), "{words}");
+            judge.answered(&Command::Home, true);
+            assert!(!judge.asks_for_homing());
         }
         let mut judge = Judge::new(&config);
         judge.injected(fault("remove 3"), 1, 1_000);

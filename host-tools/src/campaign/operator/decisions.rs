@@ -76,9 +76,10 @@ impl Operator<'_> {
             }
             Mode::Startup | Mode::BusConfiguring | Mode::DrivesOff if !is_configured => self.configure(),
             Mode::Startup | Mode::BusConfiguring | Mode::Stopping | Mode::Moving => {}
-            Mode::DrivesOff | Mode::Unreferenced if !homed => self.home(),
+            Mode::DrivesOff | Mode::Unreferenced if !homed || self.judge.asks_for_homing() => self.home(),
             Mode::DrivesOff => self.say(Command::Enable),
             Mode::Unreferenced => self.say(Command::Disable),
+            Mode::Idle if self.judge.asks_for_homing() => self.say(Command::Disable),
             Mode::Idle if is_free => self.wish(),
             Mode::Idle => self.draw_test(),
             Mode::Drawing | Mode::Holding if self.ack.job != self.job || self.is_stuck() => self.say(Command::Cancel),

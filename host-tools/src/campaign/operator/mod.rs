@@ -31,6 +31,8 @@ const LIVENESS_MAX_MS: u32 = 60_000;
 const OFF_MAX_MS: u32 = 3_000;
 /// First number of commands beside the session, far from its own.
 const FIRST_BESIDE: u16 = 0x8000;
+/// Last byte of each frame of the link.
+const FRAME_END: u8 = 0;
 
 /// What the operator is about.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -284,10 +286,13 @@ impl<'e> Operator<'e> {
     fn converse(&mut self, from_firmware: &[u8], to_firmware: &mut Vec<u8>, room: usize) {
         let mut heard = from_firmware.to_vec();
         self.up.carry(self.now_ms, &mut heard);
-        self.hear_beside(&heard);
-        self.session.receive(&heard, self.now_ms.into());
-        while let Some(event) = self.session.next_event() {
-            self.take(event);
+        // Frame by frame, so that the answers are told in the order in which they were given.
+        for frame in heard.split_inclusive(|byte| *byte == FRAME_END) {
+            self.hear_beside(frame);
+            self.session.receive(frame, self.now_ms.into());
+            while let Some(event) = self.session.next_event() {
+                self.take(event);
+            }
         }
         self.advance();
         if self.now_ms >= self.decide_ms && !matches!(self.stage, Stage::Ending { .. } | Stage::Over) {
