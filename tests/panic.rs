@@ -1,10 +1,12 @@
 //! A firmware that panics in motion: one last telegram stops the drives, then silence; the cause is reported, and the
-//! black box holds the last two seconds as they were on the wire.
+//! black box holds the last two seconds as they were on the wire, and they replay.
 
 use etherpen::application::Mode;
 use etherpen::black_box::recording::{Origin, Recording};
 use etherpen::black_box::{Direction, Event, SAMPLES};
 use etherpen::config::Config;
+use host_tools::black_box::contents::Contents;
+use host_tools::black_box::replay::replay;
 use host_tools::cell::{AlState, Cell, CellOptions, DriveState};
 use host_tools::drawing::preparation::prepare::prepare;
 use host_tools::drawing::preparation::wire::to_wire;
@@ -145,6 +147,11 @@ fn check_black_box(image: &[u8], wire: &[(Direction, Vec<u8>)]) {
     let end = (wire.len() - FRAMES_AFTER_MAX..=wire.len())
         .find(|end| wire.get(..*end).is_some_and(|wire| wire.ends_with(&recorded)));
     assert!(end.is_some(), "the frames are those of the wire");
+    let contents = Contents::of(image).expect("a recording");
+    let replayed = replay(&contents, &Config::default()).expect("two seconds of a drawing");
+    println!("{} ms replayed", replayed.agreed_ms);
+    assert_eq!((replayed.difference, replayed.not_recorded), (None, None));
+    assert!(replayed.agreed_ms as usize > SAMPLES / 2);
 }
 
 fn speed_rad_s(cell: &Cell) -> f64 {

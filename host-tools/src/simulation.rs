@@ -49,6 +49,9 @@ pub trait Host {
     /// Takes the share of its limit that each comparison of the position feedback has used by the end of a millisecond.
     fn feedback_used(&mut self, _used: [f32; COMPARISONS.len()]) {}
 
+    /// Takes the black box at the end of a millisecond.
+    fn recorded(&mut self, _black_box: &Memory) {}
+
     /// Conditions of the board in this millisecond.
     fn surroundings(&mut self) -> Surroundings {
         Surroundings::default()
@@ -183,6 +186,7 @@ pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
         }
         recorder.tick(&no_frames);
         link.tick();
+        host.recorded(&black_box);
         let poll = watch.as_mut().poll(&mut Context::from_waker(Waker::noop()));
         debug_assert_eq!(poll, Poll::Pending, "the supervisor never ends");
         if host.is_over() {

@@ -1,4 +1,4 @@
-//! Black boxes: the memory of a controller's last two seconds, read piece by piece, taken apart and exported.
+//! Black boxes: the memory of a controller's last two seconds, read piece by piece, taken apart, exported and replayed.
 //!
 //! A [`Reader`] collects the memory of a running controller. [`contents::Contents`] is what a memory holds, with times
 //! that count back from the end of the recording. [`export`] makes files of it.
@@ -7,8 +7,9 @@
 
 pub mod contents;
 pub mod export;
+pub mod replay;
 
-use etherpen::black_box::{Answer, MEMORY_BYTES, Request};
+use etherpen::black_box::{Answer, MEMORY_BYTES, Memory, Request};
 
 /// Bytes of a word: a request begins at a whole one.
 const WORD_BYTES: usize = 4;
@@ -54,6 +55,12 @@ impl Reader {
     pub fn into_memory(self) -> Option<Vec<u8>> {
         self.request().is_none().then_some(self.memory)
     }
+}
+
+/// The bytes of a memory of this process.
+pub fn image(memory: &Memory) -> Vec<u8> {
+    let words = (0..).map_while(|index| memory.word(index));
+    words.flat_map(u32::to_le_bytes).collect()
 }
 
 #[cfg(test)]

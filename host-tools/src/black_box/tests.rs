@@ -1,6 +1,7 @@
 use super::Reader;
 use super::contents::Contents;
 use super::export::{json, mcap, pcapng};
+use super::replay::replay;
 use crate::random::Random;
 use crate::recording::mcap::Reader as McapReader;
 use crate::recording::messages::Severity;
@@ -416,7 +417,7 @@ fn hostile(random: &mut Random, like: &[u8]) -> Vec<u8> {
 }
 
 #[test]
-fn any_bytes_are_taken_apart_and_exported_without_a_panic() {
+fn any_bytes_are_taken_apart_exported_and_replayed_without_a_panic() {
     let like = read(&recorded(2_500));
     for seed in 0..40 {
         let mut random = Random::new(seed);
@@ -430,6 +431,9 @@ fn any_bytes_are_taken_apart_and_exported_without_a_panic() {
         let mut playback = Playback::new(file.as_slice()).expect("a recording");
         while playback.next_entry().expect("it can be read").is_some() {}
         assert!(pcapng(&contents).is_ok() && json(&contents).is_ok(), "seed {seed}");
+        if let Ok(replay) = replay(&contents, &Config::default()) {
+            assert!(replay.agreed_ms as usize <= contents.samples.len(), "seed {seed}");
+        }
         let noise: Vec<u8> = (0..MEMORY_BYTES / 8)
             .flat_map(|_| random.bits().to_le_bytes())
             .collect();

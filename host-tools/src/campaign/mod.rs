@@ -56,6 +56,8 @@ pub enum Rule {
     Ink,
     /// The power stays on although it was switched off.
     Power,
+    /// The black box does not replay to what was recorded.
+    Replay,
     /// The firmware or the cell panicked.
     Panic,
     /// The episode cannot be run.
@@ -239,5 +241,7 @@ pub fn campaign(
     summary
 }
 
+#[cfg(test)]
+mod replay_tests;
 #[cfg(test)]
 mod tests;

@@ -8,6 +8,7 @@ use super::{ConfigArguments, print_json};
 use crate::black_box::Reader;
 use crate::black_box::contents::{Contents, EventEntry, Summary, origin_text};
 use crate::black_box::export::{json, mcap, pcapng};
+use crate::black_box::replay::{Latched, Replay, replay};
 use crate::error::{ProgramError, code};
 use crate::link::port::PortName;
 use crate::link::text;
@@ -54,7 +55,11 @@ pub struct Arguments {
     /// Discard the recording once it was read and all files were written; the controller then records again.
     #[arg(long)]
     discard: bool,
-    /// Print the summary and all events as JSON on stdout.
+    /// Replay the recording: run the controller's 1 ms loop in virtual time with the recorded inputs, and compare its
+    /// results and faults with the recorded ones. With another configuration, it shows what that one would have done.
+    #[arg(long)]
+    replay: bool,
+    /// Print the summary, all events and the replay as JSON on stdout.
     #[arg(long)]
     json: bool,
     #[command(flatten)]
@@ -86,6 +91,8 @@ impl Form {
 struct Printed<'a> {
     summary: &'a Summary,
     events: &'a [EventEntry],
+    #[serde(skip_serializing_if = "Option::is_none")]
+    replay: Option<&'a Replay>,
 }
 
 impl Arguments {
@@ -153,20 +160,71 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         return Err(ProgramError::new(code::CONNECTION, text));
     }
     arguments.write(&contents, form, &config)?;
+    let replayed = arguments.replay.then(|| replay_of(&contents, &config)).transpose()?;
     if arguments.json {
         print_json(&Printed {
             summary: &contents.summary,
             events: &contents.events,
+            replay: replayed.as_ref(),
         })?;
     } else {
-        let shown = overview(&contents);
+        let shown = overview(&contents) + &replayed.as_ref().map(replay_text).unwrap_or_default();
         let printed = io::stdout().write_all(shown.as_bytes());
         printed.map_err(|cause| ProgramError::failed("stdout", cause))?;
     }
     match &mut controller {
-        Some(controller) if arguments.discard => controller.discard(),
-        _ => Ok(()),
+        Some(controller) if arguments.discard => controller.discard()?,
+        _ => {}
     }
+    match replayed.and_then(|replay| replay.difference) {
+        Some(difference) => {
+            let before_ms = difference.before_end_s * 1e3;
+            let text = format!(
+                "the replay differs {before_ms:.0} ms before the end: {}",
+                difference.what
+            );
+            Err(ProgramError::new(code::FAILED, text))
+        }
+        None => Ok(()),
+    }
+}
+
+/// The recording, replayed.
+fn replay_of(contents: &Contents, config: &Config) -> Result<Replay, ProgramError> {
+    if contents.config_hash().is_some_and(|hash| config.hash() != Some(hash)) {
+        eprintln!("the recording was made with another configuration; the replay shows what this one would have done");
+    }
+    replay(contents, config).map_err(|why| ProgramError::new(code::INPUT, why))
+}
+
+/// What a replay has shown.
+fn replay_text(replay: &Replay) -> String {
+    let fault = |latched: &Latched| {
+        let words = latched.fault.as_ref().map(text::fault);
+        let before_ms = latched.before_end_s * 1e3;
+        (
+            before_ms,
+            words.unwrap_or_else(|| "its event was overwritten".to_owned()),
+        )
+    };
+    let mut shown = format!("\nreplay: the same results in {} ms\n", replay.agreed_ms);
+    for latched in &replay.faults {
+        let (before_ms, words) = fault(latched);
+        // Writing into a string cannot fail.
+        let _ = writeln!(
+            shown,
+            "the same fault in the same millisecond, {before_ms:.0} ms before the end: {words}"
+        );
+    }
+    if let Some(latched) = &replay.not_recorded {
+        let (before_ms, words) = fault(latched);
+        let _ = writeln!(
+            shown,
+            "the replay ends {before_ms:.0} ms before the end, with a fault whose cause is not, or not all, in the \
+             recording: {words}"
+        );
+    }
+    shown
 }
 
 /// The configuration, unless the recording was made with another one.

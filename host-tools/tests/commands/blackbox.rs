@@ -1,4 +1,4 @@
-//! `etherpen blackbox` with memory images: all outputs, and images that are refused.
+//! `etherpen blackbox` with memory images: all outputs, replays, and images that are refused.
 
 use crate::NOBODY;
 use crate::program::{Folder, etherpen, run};
@@ -6,15 +6,25 @@ use etherpen::application::{Fault, Mode};
 use etherpen::black_box::{
     Direction, EventLog, FrameNote, FrameNotes, FrameSource, Keep, MEMORY_BYTES, Memory, Recorder, SAMPLES,
 };
+use etherpen::config::Config;
 use etherpen::control::sampler::CycleReport;
 use heapless::spsc::Queue;
+use host_tools::black_box;
+use host_tools::cell::{Cell, CellOptions};
+use host_tools::drawing::preparation::prepare::prepare;
+use host_tools::drawing::preparation::wire::to_wire;
 use host_tools::error::code;
+use host_tools::job::{Job, JobOptions};
 use host_tools::recording::{Playback, RecordingEntry};
+use host_tools::setup;
+use host_tools::simulation::{self, Host, Surroundings};
 use std::fs;
 use std::path::Path;
 
 /// Milliseconds of the run that the image holds the end of.
 const RUN_MS: u32 = 2_500;
+/// When the button is pressed, ms.
+const PRESSED_MS: u32 = 4_000;
 /// Rate of the emulated board's counter, Hz.
 const COUNTS_PER_S: u32 = 25_000_000;
 /// Byte of the layout's version.
@@ -66,6 +76,88 @@ fn image() -> Vec<u8> {
     memory.start(Keep::UntilDiscarded);
     let words = (0..).map_while(|index| memory.word(index));
     words.flat_map(u32::to_le_bytes).collect()
+}
+
+/// A drawing in virtual time during which the emergency-stop button is pressed.
+struct Stopped {
+    job: Job,
+    now_ms: u32,
+    memory: Vec<u8>,
+}
+
+impl Host for Stopped {
+    fn exchange(&mut self, ms: u32, from_firmware: &[u8], to_firmware: &mut Vec<u8>, room: usize) {
+        self.now_ms = ms;
+        self.job.step(u64::from(ms), from_firmware, to_firmware, room);
+    }
+
+    fn recorded(&mut self, memory: &Memory) {
+        if self.is_over() {
+            self.memory = black_box::image(memory);
+        }
+    }
+
+    fn surroundings(&mut self) -> Surroundings {
+        Surroundings {
+            stop_shows_open: self.now_ms >= PRESSED_MS,
+            ..Surroundings::default()
+        }
+    }
+
+    fn is_over(&self) -> bool {
+        self.now_ms >= PRESSED_MS + 200
+    }
+}
+
+/// The memory after the stop of a drawing.
+fn stopped_drawing(config: &Config) -> Vec<u8> {
+    let prepared = prepare(&setup::workspace().join("samples/strokes.csv"), config).expect("the sample");
+    let path: Vec<_> = prepared.path.iter().map(to_wire).collect();
+    let mut host = Stopped {
+        job: Job::draw(config.clone(), path, JobOptions::default()),
+        now_ms: 0,
+        memory: Vec::new(),
+    };
+    let mut cell = Cell::new(config, CellOptions::default());
+    simulation::run(&mut cell, &mut host, 2 * PRESSED_MS);
+    host.memory
+}
+
+#[test]
+fn a_recording_replays_to_the_same_millisecond_and_another_one_does_not() {
+    let folder = Folder::new();
+    let config = Config::default();
+    folder.file("stopped.bin", stopped_drawing(&config));
+    let replay = ["blackbox", "--image", "stopped.bin", "--replay"];
+    let (status, stdout, stderr) = run(etherpen(&folder).args(replay));
+    assert_eq!(status, Some(0), "{stderr}");
+    let same = "the same fault in the same millisecond, 197 ms before the end: emergency stop by the board's input";
+    assert!(stdout.contains(same), "{stdout}");
+
+    let (status, stdout, _) = run(etherpen(&folder).args(replay).arg("--json"));
+    assert_eq!(status, Some(0));
+    let printed: serde_json::Value = serde_json::from_str(&stdout).expect("JSON");
+    assert_eq!(printed["replay"]["faults"][0]["fault"]["EmergencyStop"], "Input");
+    assert!(printed["replay"]["agreed_ms"].as_u64() > Some(1_500), "{stdout}");
+    assert!(printed["replay"]["difference"].is_null() && printed["replay"]["not_recorded"].is_null());
+
+    // A measurement that would be older, and a limit that the error would then exceed.
+    folder.file(
+        "strict.toml",
+        "[[axes]]\n[[axes]]\nfollowing_error_max_rad = 0.001\nmeasurement_age_ms = 8.0\n[[axes]]\n[[axes]]\n",
+    );
+    let (status, _, stderr) = run(etherpen(&folder).args(replay).args(["--config", "strict.toml"]));
+    assert_eq!(status, Some(i32::from(code::FAILED)), "{stderr}");
+    assert!(stderr.contains("what this one would have done"), "{stderr}");
+    assert!(
+        stderr.contains("recorded None, replayed Some(FollowingError { axis: 1"),
+        "{stderr}"
+    );
+
+    folder.file("made-up.bin", image());
+    let (status, _, stderr) = run(etherpen(&folder).args(["blackbox", "--image", "made-up.bin", "--replay"]));
+    assert_eq!(status, Some(i32::from(code::FAILED)), "{stderr}");
+    assert!(stderr.contains("the replay differs"), "{stderr}");
 }
 
 fn refused(folder: &Folder, arguments: &[&str], code: u8, words: &str) {

@@ -15,9 +15,13 @@ use super::judge::{Judge, ink_limit_mm};
 use super::line::Line;
 use super::world::World;
 use super::{Failure, Rule};
+use crate::black_box;
+use crate::black_box::contents::Contents;
+use crate::black_box::replay::{Replay, replay};
 use crate::link::session::{Event as LinkEvent, Session};
 use crate::simulation::{Host, Surroundings};
 use etherpen::application::Mode;
+use etherpen::black_box::Memory;
 use etherpen::board::PortState;
 use etherpen::config::Config;
 use etherpen::link::frame::Decoder;
@@ -91,6 +95,8 @@ pub(super) struct Operator<'e> {
     /// Executed vertices when the drawing last advanced, and the time.
     advanced: (u32, u32),
     swapped: Vec<usize>,
+    /// Whether the recording of the first fault was replayed.
+    has_replayed: bool,
     failure: Option<Failure>,
 }
 
@@ -134,6 +140,7 @@ impl<'e> Operator<'e> {
             ack: PathAck::default(),
             advanced: (0, 0),
             swapped: Vec::new(),
+            has_replayed: false,
             failure: None,
             config,
         };
@@ -150,6 +157,12 @@ impl<'e> Operator<'e> {
     #[cfg(test)]
     pub(super) fn finished(&self) -> Option<u16> {
         self.judge.finished()
+    }
+
+    /// Whether a fault is reported.
+    #[cfg(test)]
+    pub(super) fn hears_a_fault(&self) -> bool {
+        self.status.as_ref().is_some_and(|status| status.fault.is_some())
     }
 
     /// Whether the faults are over and everything was healed.
@@ -251,6 +264,23 @@ impl<'e> Operator<'e> {
         (3_000.0 * mm / slowest_mm_s + strokes_ms) as u32
     }
 
+    /// Replays the last two seconds: the black box has to hold what led to each result.
+    fn replay(&mut self, black_box: &Memory) {
+        let contents = match Contents::of(&black_box::image(black_box)) {
+            Ok(contents) => contents,
+            Err(why) => return self.fail(Rule::Replay, format!("{why:?}")),
+        };
+        // There may be too little to replay.
+        if let Ok(Replay {
+            difference: Some(difference),
+            ..
+        }) = replay(&contents, &self.config)
+        {
+            let text = format!("{:.0} ms ago, {}", difference.before_end_s * 1e3, difference.what);
+            self.fail(Rule::Replay, text);
+        }
+    }
+
     fn has_drawn(&self) -> bool {
         self.ack.finished && self.ack.job == self.job && self.mode() == Mode::Idle
     }
@@ -345,6 +375,13 @@ impl Host for Operator<'_> {
             around.board.port = PortState::Down;
         }
         around
+    }
+
+    fn recorded(&mut self, black_box: &Memory) {
+        let has_fault = self.status.as_ref().is_some_and(|status| status.fault.is_some());
+        if self.stage == Stage::Over || (has_fault && !std::mem::replace(&mut self.has_replayed, true)) {
+            self.replay(black_box);
+        }
     }
 
     fn is_over(&self) -> bool {

@@ -1,0 +1,198 @@
+//! Compares the replay with the recording, millisecond by millisecond.
+
+use super::super::contents::SampleEntry;
+use super::events::Events;
+use super::{SETTLED_MS, by_torque};
+use etherpen::application::{Fault, StopSource};
+use etherpen::config::Config;
+use etherpen::control::sampler::{CycleReport, STANDSTILL_MS};
+use etherpen::robots::AXES;
+use std::f64::consts::TAU;
+use std::fmt::Debug;
+
+/// For an axis that has not had a position yet.
+const NEVER: u16 = u16::MAX;
+/// Relative rounding of a number in single precision.
+const ROUNDING: f64 = 1.2e-7;
+
+/// What a millisecond has shown.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Finding {
+    /// Recording and replay agree. A fault may have latched in both.
+    Agreed { latched: bool },
+    /// A fault whose cause the samples do not hold, or not all of it; `None` if its event has been overwritten.
+    NotRecorded(Option<Fault>),
+    /// What differs, in words.
+    Differs(String),
+}
+
+/// The comparison so far.
+pub(super) struct Comparison<'a> {
+    config: &'a Config,
+    events: Events<'a>,
+    /// Whether the drives had no power when the replay began.
+    begins_without_power: bool,
+    /// Whether no fault of before the recording can be latched.
+    knows_fault: bool,
+    was_latched: bool,
+    /// By how much the replay's angles are greater, rad: whole turns of motors that are not homed.
+    turns_rad: [f64; AXES],
+    /// Milliseconds since each axis's last position, or [`NEVER`].
+    blind_ms: [u16; AXES],
+}
+
+impl<'a> Comparison<'a> {
+    pub(super) fn new(
+        config: &'a Config,
+        events: Events<'a>,
+        begins_without_power: bool,
+        begins_without_fault: bool,
+    ) -> Self {
+        Self {
+            config,
+            events,
+            begins_without_power,
+            knows_fault: begins_without_fault,
+            was_latched: false,
+            turns_rad: [0.0; AXES],
+            blind_ms: [NEVER; AXES],
+        }
+    }
+
+    /// By how much the replay's angles are greater than the recorded ones, rad.
+    pub(super) fn turns_rad(&self) -> &[f64; AXES] {
+        &self.turns_rad
+    }
+
+    /// Whether the recording is known to have no fault, and the replay has one.
+    pub(super) fn has_only_replayed(&self, now: &SampleEntry, report: &CycleReport) -> bool {
+        self.knows_fault && !now.fault && report.fault.is_some()
+    }
+
+    /// Compares a millisecond, the `index`th of the replay. Until the controllers have forgotten what was before, only
+    /// their state is followed.
+    pub(super) fn step(&mut self, index: usize, now: &SampleEntry, report: &CycleReport) -> Finding {
+        for (ms, valid) in self.blind_ms.iter_mut().zip(now.valid) {
+            *ms = if valid { 0 } else { ms.saturating_add(1) };
+        }
+        let is_new = self.knows_fault && !self.was_latched;
+        let not_recorded = self.not_recorded(now, report);
+        let differs = self.difference(index, now, report, is_new && now.fault);
+        self.was_latched = report.fault.is_some();
+        self.knows_fault |= !now.fault;
+        match (not_recorded, differs) {
+            _ if index < SETTLED_MS => Finding::Agreed { latched: false },
+            (Some(fault), _) => Finding::NotRecorded(fault),
+            (None, Some(what)) => Finding::Differs(what),
+            (None, None) => Finding::Agreed {
+                latched: is_new && self.was_latched,
+            },
+        }
+    }
+
+    /// A fault of the recording or of the replay whose cause is not in the samples, or not all of it.
+    fn not_recorded(&self, now: &SampleEntry, report: &CycleReport) -> Option<Option<Fault>> {
+        if !self.knows_fault || now.fault == report.fault.is_some() {
+            return None;
+        }
+        let fault = report.fault.or_else(|| self.events.fault_at(now));
+        let is_outside = match fault {
+            Some(Fault::SlaveState { .. } | Fault::ClockLost { .. } | Fault::ClockJump { .. }) => true,
+            // Commanded and measured motion are compared since the drives got power; a torque is rounded to the digits
+            // of a kind of drive that is not recorded.
+            Some(Fault::FeedbackDeviation { .. } | Fault::FeedbackNoise { .. }) => {
+                !self.begins_without_power || by_torque(self.config)
+            }
+            Some(_) => false,
+            None => self.events.begin_after(now),
+        };
+        is_outside.then_some(fault)
+    }
+
+    /// What differs between a sample and the replay.
+    fn difference(
+        &mut self,
+        index: usize,
+        now: &SampleEntry,
+        report: &CycleReport,
+        is_new_fault: bool,
+    ) -> Option<String> {
+        let words = |what: &str, recorded: &dyn Debug, replayed: &dyn Debug| {
+            Some(format!("{what}: recorded {recorded:?}, replayed {replayed:?}"))
+        };
+        if report.valid != now.valid {
+            return words("axes with a position", &now.valid, &report.valid);
+        }
+        if report.homed != now.homed {
+            return words("axes homed", &now.homed, &report.homed);
+        }
+        for axis in 0..AXES {
+            let (recorded, replayed) = (f64::from(now.measured_rad[axis]), report.measured_rad[axis]);
+            // Where the turns of a motor that is not homed were counted from is not recorded.
+            let turn_rad = TAU / self.config.axes[axis].gear.abs();
+            let turns = if now.homed[axis] {
+                0.0
+            } else {
+                ((replayed - recorded) / turn_rad).round()
+            };
+            self.turns_rad[axis] = turns * turn_rad;
+            if (replayed - self.turns_rad[axis] - recorded).abs() > self.rounding_rad(axis, replayed) {
+                return words(&format!("angle of axis {}, rad", axis + 1), &recorded, &replayed);
+            }
+        }
+        if report.following != now.following {
+            return words("following", &now.following, &report.following);
+        }
+        if report.standstill != now.standstill && index > SETTLED_MS + usize::from(STANDSTILL_MS) {
+            return words("standstill", &now.standstill, &report.standstill);
+        }
+        if self.knows_fault && report.fault.is_some() != now.fault {
+            let recorded = now.fault.then(|| self.events.fault_at(now));
+            return words("fault", &recorded, &report.fault);
+        }
+        let recorded = self.events.fault_at(now);
+        let recorded = recorded.filter(|fault| is_new_fault && is_of_the_sampler(fault));
+        match (recorded, report.fault) {
+            (Some(recorded), Some(replayed)) if !is_alike(&recorded, &replayed) => words("fault", &recorded, &replayed),
+            _ => None,
+        }
+    }
+
+    /// By how much a replayed angle may differ from the recorded one, rad: the recording is rounded, and a position that
+    /// is predicted goes on from a rounded speed.
+    fn rounding_rad(&self, axis: usize, angle_rad: f64) -> f64 {
+        if self.blind_ms[axis] == NEVER {
+            return f64::INFINITY;
+        }
+        let settings = &self.config.axes[axis];
+        let increment_rad = TAU / (settings.gear.abs() * f64::from(settings.increments_per_revolution.max(1)));
+        let increments = 3.0 * (f64::from(self.blind_ms[axis]) + 1.0);
+        increments * (increment_rad + ROUNDING * angle_rad.abs()) + ROUNDING
+    }
+}
+
+/// Whether the sampler alone comes to a fault. Another one that came first hides the sampler's.
+fn is_of_the_sampler(fault: &Fault) -> bool {
+    matches!(
+        fault,
+        Fault::EmergencyStop(StopSource::Input)
+            | Fault::ClockFailure
+            | Fault::Blind { .. }
+            | Fault::FollowingError { .. }
+            | Fault::OutputLimit { .. }
+            | Fault::CyclesLate { .. }
+            | Fault::SetpointUnderrun
+            | Fault::FeedbackDeviation { .. }
+            | Fault::FeedbackNoise { .. }
+    )
+}
+
+/// Whether two faults are of one kind and concern the same axis.
+fn is_alike(one: &Fault, other: &Fault) -> bool {
+    let axis = |fault: &Fault| {
+        let value = serde_json::to_value(fault).unwrap_or_default();
+        let content = value.as_object().and_then(|object| object.values().next().cloned());
+        content.and_then(|content| content.get("axis").or(content.get("slave")).cloned())
+    };
+    std::mem::discriminant(one) == std::mem::discriminant(other) && axis(one) == axis(other)
+}

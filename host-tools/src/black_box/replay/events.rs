@@ -1,0 +1,57 @@
+//! The recorded events, for questions of the replay.
+
+use super::super::contents::{EventEntry, SampleEntry};
+use etherpen::application::{Command, Fault};
+use etherpen::black_box::Event;
+
+/// Time by which an event may come after the sample that shows its effect, or before it, ms.
+pub(super) const EVENT_MS: u32 = 6;
+
+/// Recorded events, oldest first.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Events<'a>(pub &'a [EventEntry]);
+
+impl Events<'_> {
+    /// When the tasks were given the last configuration, ms.
+    pub(super) fn configured_ms(self) -> Option<u32> {
+        let mut configured = self.0.iter().rev();
+        let last = configured.find(|entry| matches!(entry.event, Some(Event::Configured { .. })));
+        last.map(|entry| entry.t_ms)
+    }
+
+    /// Whether a command was given in the milliseconds from `from_ms` on, and not refused.
+    pub(super) fn was_accepted(self, from_ms: u32, milliseconds: u32, is_meant: impl Fn(&Command) -> bool) -> bool {
+        self.0.iter().enumerate().any(|(index, entry)| {
+            let next = self.0.get(index + 1).and_then(|next| next.event);
+            let is_refused = matches!(next, Some(Event::Refused(_)));
+            let is_then = entry.t_ms.wrapping_sub(from_ms) < milliseconds;
+            is_then && !is_refused && matches!(&entry.event, Some(Event::Command(command)) if is_meant(command))
+        })
+    }
+
+    /// Whether something happened in the milliseconds from `from_ms` on.
+    pub(super) fn happened(self, from_ms: u32, milliseconds: u32, event: &Event) -> bool {
+        let is_then = |entry: &&EventEntry| entry.t_ms.wrapping_sub(from_ms) < milliseconds;
+        self.0
+            .iter()
+            .filter(is_then)
+            .any(|entry| entry.event.as_ref() == Some(event))
+    }
+
+    /// The fault that was recorded as new shortly after a sample.
+    pub(super) fn fault_at(self, sample: &SampleEntry) -> Option<Fault> {
+        self.0.iter().find_map(|entry| {
+            let after_ms = entry.t_ms.wrapping_sub(sample.t_ms).wrapping_add(1);
+            match entry.event {
+                Some(Event::Fault(fault)) if after_ms <= EVENT_MS => fault,
+                _ => None,
+            }
+        })
+    }
+
+    /// Whether the events of a sample's time have been overwritten.
+    pub(super) fn begin_after(self, sample: &SampleEntry) -> bool {
+        let first = self.0.first();
+        first.is_none_or(|first| sample.t_ms.wrapping_sub(first.t_ms) > u32::MAX / 2)
+    }
+}

@@ -1,0 +1,255 @@
+//! Plays a recording to the sampler.
+
+use super::super::contents::{Contents, SampleEntry};
+use super::comparison::{Comparison, Finding};
+use super::drives::{Control, Millisecond};
+use super::events::{EVENT_MS, Events};
+use super::positions::{Position, Positions};
+use super::{Difference, Latched, Replay, SETTLED_MS, has_no_power};
+use etherpen::application::{Command, Fault, Mode, Power};
+use etherpen::black_box::Event;
+use etherpen::config::Config;
+use etherpen::control::sampler::{Queued, SamplerCommand};
+use etherpen::drives::DriveInput;
+use etherpen::drives::cia402::StatusWord;
+use etherpen::motion::Setpoint;
+use etherpen::robots::{AXES, JointAngles};
+
+/// Setpoints that the sampler looks at, from the present one on. Those behind the last one of a motion that was
+/// interrupted are not recorded, but the controller had them.
+const LOOK_AHEAD: usize = 12;
+
+/// A replay in progress.
+pub(super) struct Player<'a, 'q> {
+    config: &'a Config,
+    events: Events<'a>,
+    samples: &'a [SampleEntry],
+    control: Control<'q>,
+    positions: Positions,
+    comparison: Comparison<'a>,
+    epoch: u8,
+    /// Setpoints before this index are with the sampler.
+    queued: usize,
+}
+
+impl<'a, 'q> Player<'a, 'q> {
+    /// A player at the beginning of `samples`.
+    pub(super) fn new(
+        contents: &'a Contents,
+        samples: &'a [SampleEntry],
+        config: &'a Config,
+        control: Control<'q>,
+    ) -> Self {
+        let events = Events(&contents.events);
+        let first = samples.first();
+        let (no_power, no_fault) = (first.is_some_and(has_no_power), first.is_some_and(|first| !first.fault));
+        let mut player = Self {
+            config,
+            events,
+            samples,
+            control,
+            positions: Positions::new(),
+            comparison: Comparison::new(config, events, no_power, no_fault),
+            epoch: 0,
+            queued: 0,
+        };
+        player.begin();
+        player
+    }
+
+    /// Brings the sampler to where the recording begins.
+    fn begin(&mut self) {
+        let Some(first) = self.samples.first() else { return };
+        let now = Millisecond {
+            inputs: self.inputs(first),
+            ..Millisecond::default()
+        };
+        self.positions = Positions::new();
+        for _ in 0..2 {
+            self.control.step(&now);
+        }
+        if first.homed == [true; AXES] {
+            self.home(first);
+        }
+        if first.following {
+            self.control.order(SamplerCommand::Power(Power::On));
+            self.follow();
+        }
+    }
+
+    /// Plays all samples, or up to the first one with another result.
+    pub(super) fn play(mut self) -> Replay {
+        let mut replay = Replay {
+            from_ms: self.samples.first().map_or(0, |first| first.t_ms),
+            agreed_ms: 0,
+            faults: Vec::new(),
+            difference: None,
+            not_recorded: None,
+        };
+        for (index, now) in self.samples.iter().enumerate() {
+            let (finding, fault) = self.millisecond(index, now);
+            let before_end_s = now.before_end_s;
+            match finding {
+                Finding::Agreed { latched } => {
+                    replay.faults.extend(latched.then_some(Latched { before_end_s, fault }));
+                }
+                Finding::NotRecorded(fault) => {
+                    replay.not_recorded = Some(Latched { before_end_s, fault });
+                    break;
+                }
+                Finding::Differs(what) => {
+                    replay.difference = Some(Difference { before_end_s, what });
+                    break;
+                }
+            }
+            replay.agreed_ms += 1;
+        }
+        replay
+    }
+
+    /// Plays one sample; returns what it has shown and the fault that is latched.
+    fn millisecond(&mut self, index: usize, now: &SampleEntry) -> (Finding, Option<Fault>) {
+        let before = index.checked_sub(1).and_then(|before| self.samples.get(before));
+        if let Some(before) = before {
+            self.give_orders(index, before, now);
+        }
+        self.offer_setpoints(index);
+        let late = before.map_or(0, |before| now.cycles_late.wrapping_sub(before.cycles_late));
+        let millisecond = Millisecond {
+            inputs: self.inputs(now),
+            interlock: now.interlock,
+            late,
+        };
+        let report = self.control.step(&millisecond);
+        if index + 1 == SETTLED_MS && self.comparison.has_only_replayed(now, &report) {
+            // The controllers knew nothing of the motion before.
+            self.control.order(SamplerCommand::ClearFault);
+        }
+        (self.comparison.step(index, now, &report), report.fault)
+    }
+
+    /// What the drives report in a sample.
+    fn inputs(&mut self, sample: &SampleEntry) -> [Option<DriveInput>; AXES] {
+        let positions = self.positions.next(&self.config.axes, sample);
+        std::array::from_fn(|axis| {
+            let Position { increments, is_new } = positions[axis]?;
+            if is_new {
+                self.control.configured_again(axis);
+            }
+            Some(DriveInput {
+                position: increments,
+                status: StatusWord(sample.status_word[axis]),
+                mode_in_effect: true,
+            })
+        })
+    }
+
+    /// The orders that lead from one sample to the next.
+    fn give_orders(&mut self, index: usize, before: &SampleEntry, now: &SampleEntry) {
+        if before.fault && !now.fault {
+            self.control.order(SamplerCommand::Power(Power::Off));
+            self.control.order(SamplerCommand::ClearFault);
+        }
+        let ends = before.following && !now.following;
+        let recent_ms = now.t_ms.wrapping_sub(EVENT_MS);
+        for axis in 0..AXES {
+            // A drive that was away comes back without its home when it was configured again.
+            let recent = self.samples.get(index.saturating_sub(EVENT_MS as usize)..index);
+            let was_away = recent.unwrap_or_default().iter().any(|sample| !sample.valid[axis]);
+            if before.homed[axis] && !now.homed[axis] && now.valid[axis] && was_away {
+                self.control.configured_again(axis);
+            }
+        }
+        let homes_again = ends && self.events.was_accepted(recent_ms, EVENT_MS, is_home);
+        if homes_again || before.homed != [true; AXES] && now.homed == [true; AXES] {
+            self.home(now);
+        }
+        // The setpoints come some milliseconds after the power.
+        if now.following && !before.following || self.events.was_accepted(before.t_ms, 1, is_enable) {
+            self.control.order(SamplerCommand::Power(Power::On));
+        }
+        if now.following && !before.following {
+            self.queued = index;
+            self.follow();
+        }
+        let stops = self
+            .events
+            .happened(recent_ms, 2 * EVENT_MS, &Event::Mode(Mode::Stopping));
+        if ends && (stops || !homes_again) && !self.runs_dry(index) {
+            self.control.order(SamplerCommand::Power(Power::QuickStop));
+        }
+    }
+
+    fn home(&mut self, sample: &SampleEntry) {
+        let near = Some(JointAngles(sample.measured_rad.map(f64::from)));
+        self.control.order(SamplerCommand::Home { near });
+    }
+
+    fn follow(&mut self) {
+        self.epoch = self.epoch.wrapping_add(1);
+        self.control.order(SamplerCommand::Follow { epoch: self.epoch });
+    }
+
+    /// Whether the setpoints ended by themselves at a sample.
+    fn runs_dry(&self, index: usize) -> bool {
+        let Some(now) = self.samples.get(index) else {
+            return false;
+        };
+        matches!(self.events.fault_at(now), Some(Fault::SetpointUnderrun))
+    }
+
+    /// Gives the sampler the setpoints that it looks at. What follows the last one of a motion that was interrupted is
+    /// not recorded: it goes on as before.
+    fn offer_setpoints(&mut self, index: usize) {
+        let rest = self.samples.get(index..).unwrap_or_default();
+        let length = rest.iter().take_while(|sample| sample.following).count();
+        if length == 0 {
+            return;
+        }
+        let end = index + length;
+        let goes_on = !self.runs_dry(end);
+        self.queued = self.queued.max(index);
+        while self.queued < index + LOOK_AHEAD {
+            let ended = (self.queued + 1).saturating_sub(end);
+            if ended > 0 && !goes_on {
+                return;
+            }
+            let setpoint = self.setpoint(self.queued - ended, ended);
+            let epoch = self.epoch;
+            if !self.control.offer(Queued { epoch, setpoint }) {
+                return;
+            }
+            self.queued += 1;
+        }
+    }
+
+    /// The setpoint of a millisecond of a motion, `after` milliseconds later at its speed.
+    fn setpoint(&self, index: usize, after: usize) -> Setpoint {
+        let follows = |index: usize| self.samples.get(index).filter(|sample| sample.following);
+        let Some(now) = follows(index) else {
+            return Setpoint::default();
+        };
+        let before = index.checked_sub(1).and_then(follows);
+        let [low, high] = match (before, follows(index + 1)) {
+            (Some(before), _) => [before, now],
+            (None, Some(next)) => [now, next],
+            (None, None) => [now, now],
+        }
+        .map(|sample| sample.setpoint_rad.map(f64::from));
+        let velocity_rad_s = std::array::from_fn(|axis| 1e3 * (high[axis] - low[axis]));
+        let moved_rad = |axis: usize| self.comparison.turns_rad()[axis] + velocity_rad_s[axis] * after as f64 / 1e3;
+        Setpoint {
+            position_rad: std::array::from_fn(|axis| f64::from(now.setpoint_rad[axis]) + moved_rad(axis)),
+            velocity_rad_s,
+            ..Setpoint::default()
+        }
+    }
+}
+
+fn is_enable(command: &Command) -> bool {
+    *command == Command::Enable
+}
+
+fn is_home(command: &Command) -> bool {
+    matches!(command, Command::Home | Command::HomeAt { .. })
+}
