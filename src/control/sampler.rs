@@ -543,22 +543,10 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
     /// Passes each axis what the setpoints demand of it and of the other axes.
     #[inline(never)]
     fn tell_demanded(&mut self, moving: bool) {
-        let mut demanded = [Demanded::default(); AXES];
-        if moving {
-            let [now, next] = self.window.velocities_around(0);
-            let (mut sum_rad_s2, mut most_rad_s2, mut most_rad_s) = (0.0_f32, 0.0_f32, 0.0_f32);
-            for (axis, (now, next)) in demanded.iter_mut().zip(now.iter().zip(next)) {
-                axis.own_rad_s = *now as f32;
-                axis.own_rad_s2 = ((next - now) * CYCLES_PER_S) as f32;
-                sum_rad_s2 += axis.own_rad_s2.abs();
-                most_rad_s2 = most_rad_s2.max(axis.own_rad_s2.abs());
-                most_rad_s = most_rad_s.max(axis.own_rad_s.abs());
-            }
-            for axis in &mut demanded {
-                axis.others_rad_s2 = sum_rad_s2 - axis.own_rad_s2.abs();
-                (axis.greatest_rad_s, axis.greatest_rad_s2) = (most_rad_s, most_rad_s2);
-            }
-        }
+        let demanded = match moving {
+            true => Demanded::between(self.window.velocities_around(0)),
+            false => [Demanded::default(); AXES],
+        };
         self.robot.set_demanded(&demanded);
     }
 

@@ -33,6 +33,7 @@
 
 use super::limit::limited;
 use crate::config::Axis;
+use crate::robots::AXES;
 
 /// Poles of the observer, 1/s and per millisecond.
 const OBSERVER_PER_S: f32 = 30.0;
@@ -115,6 +116,26 @@ pub struct Demanded {
     pub greatest_rad_s2: f32,
 }
 
+impl Demanded {
+    /// What the setpoints demand of each axis, from the velocities of this millisecond and of the next, rad/s.
+    pub fn between([now, next]: [&[f64; AXES]; 2]) -> [Self; AXES] {
+        let mut demanded = [Self::default(); AXES];
+        let (mut sum_rad_s2, mut most_rad_s2, mut most_rad_s) = (0.0_f32, 0.0_f32, 0.0_f32);
+        for (axis, (now, next)) in demanded.iter_mut().zip(now.iter().zip(next)) {
+            axis.own_rad_s = *now as f32;
+            axis.own_rad_s2 = ((next - now) / STEP_S) as f32;
+            sum_rad_s2 += axis.own_rad_s2.abs();
+            most_rad_s2 = most_rad_s2.max(axis.own_rad_s2.abs());
+            most_rad_s = most_rad_s.max(axis.own_rad_s.abs());
+        }
+        for axis in &mut demanded {
+            axis.others_rad_s2 = sum_rad_s2 - axis.own_rad_s2.abs();
+            (axis.greatest_rad_s, axis.greatest_rad_s2) = (most_rad_s, most_rad_s2);
+        }
+        demanded
+    }
+}
+
 /// A value with its limit.
 #[derive(Clone, Copy, Debug, PartialEq)]
 struct Margin {
@@ -155,8 +176,7 @@ impl Following {
     ///  k s^2 + k (i + f) s + k i f). At first the integral does nothing: the error is d / (k (i + f)) at most; then it
     ///  decays with i f / (i + f). From an error on one side to one on the other, the setpoint moves by twice that
     ///  while the position is at rest.
-    fn of(axis: &Axis) -> Self {
-        let inertia_kg_m2 = axis.inertia_kg_m2.max(INERTIA_MIN_KG_M2);
+    fn of(axis: &Axis, inertia_kg_m2: f64) -> Self {
         let stiffness_per_s = (axis.velocity_gain_nm_s / inertia_kg_m2).max(1.0);
         let (integral, gain) = (axis.velocity_integral_per_s, axis.feedback_gain_per_s);
         let both = (integral + gain).max(1.0);
@@ -217,7 +237,7 @@ impl TorqueModel {
         let share = 1.0 / (1.0 + delay_ms.max(0.0));
         let inertia_kg_m2 = axis.inertia_kg_m2.max(INERTIA_MIN_KG_M2);
         let rad_per_digit = (share * STEP_S * STEP_S / (digits_per_unit * inertia_kg_m2)) as f32;
-        Self::at_rest(rad_per_digit, (1.0 - share) as f32, Following::of(axis))
+        Self::at_rest(rad_per_digit, (1.0 - share) as f32, Following::of(axis, inertia_kg_m2))
     }
 
     /// A model without commands and measurements.
@@ -389,3 +409,6 @@ impl TorqueModel {
 fn greater(a: f32, b: f32) -> f32 {
     if a > b { a } else { b }
 }
+
+#[cfg(test)]
+mod tests;

@@ -207,4 +207,26 @@ mod tests {
         assert_eq!(controller.step(1.0, f64::INFINITY, none()), 0.0);
         assert!(controller.step(1.0, 0.0, none()) > 0.0);
     }
+
+    #[test]
+    fn the_integral_stays_within_the_limit_while_the_feed_forward_works_against_it() {
+        let axis = axis();
+        let mut controller = VelocityController::new(&axis);
+        // The setpoint brakes all the time, and the axis is always too slow.
+        let braking = || (0..12).map(|ms| -100.0 * f64::from(ms) * STEP_S);
+        for _ in 0..20_000 {
+            let torque_nm = controller.step(1.0, 0.0, braking());
+            assert!(torque_nm.abs() <= axis.torque_max_nm);
+        }
+        assert!(
+            controller.integral_nm <= axis.torque_max_nm,
+            "{}",
+            controller.integral_nm
+        );
+        assert!(
+            controller.integral_nm > 0.9 * axis.torque_max_nm,
+            "{}",
+            controller.integral_nm
+        );
+    }
 }

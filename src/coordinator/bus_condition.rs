@@ -124,4 +124,18 @@ mod tests {
         };
         assert_eq!(bus_condition(&event), Some(BusCondition::Refused(fault)));
     }
+
+    #[test]
+    fn a_number_of_slaves_beyond_what_a_fault_can_hold_is_shown_as_the_greatest() {
+        let error = BusError::SlaveCount {
+            expected: 300,
+            actual: 259,
+        };
+        let fault = refusal(None, Step::Discover, error);
+        let most = Fault::UnexpectedBus {
+            found: 255,
+            expected: 255,
+        };
+        assert_eq!(fault, most);
+    }
 }

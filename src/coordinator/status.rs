@@ -130,3 +130,29 @@ pub(super) fn condition(report: &CycleReport) -> Condition {
         interlock: report.interlock,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Status word of a drive in operation.
+    const ENABLED: u16 = 0x0237;
+
+    #[test]
+    fn drives_have_power_only_if_all_say_so_in_this_millisecond() {
+        let report = CycleReport {
+            status_word: [ENABLED; AXES],
+            valid: [true; AXES],
+            ..CycleReport::default()
+        };
+        assert!(condition(&report).powered);
+        for axis in 0..AXES {
+            let mut silent = report;
+            silent.valid[axis] = false;
+            assert!(!condition(&silent).powered, "the last word of axis {axis} is old");
+            let mut other = report;
+            other.status_word[axis] = 0x0233;
+            assert!(!condition(&other).powered);
+        }
+    }
+}

@@ -261,3 +261,21 @@ fn the_axes_of_a_group_in_memory_are_read_and_commanded_as_on_a_bus() {
         [-8_011, 8_011, -8_011, -8_011]
     );
 }
+
+#[test]
+fn an_axis_without_a_resolution_has_angles_that_are_numbers() {
+    for increments_per_revolution in [0, u32::MAX] {
+        let axis = Axis {
+            increments_per_revolution,
+            ..Axis::default()
+        };
+        let mut axis = AxisState::new(&axis);
+        axis.step(at(12_345), 0);
+        axis.zero = Some(0.0);
+        let angle_rad = axis.axis_input().and_then(|input| input.angle_rad);
+        assert!(
+            angle_rad.is_some_and(|angle| angle.is_finite() && angle >= 0.0),
+            "{angle_rad:?}"
+        );
+    }
+}

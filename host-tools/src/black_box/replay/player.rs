@@ -11,7 +11,7 @@ use etherpen::black_box::Event;
 use etherpen::config::Config;
 use etherpen::control::sampler::{Queued, SamplerCommand};
 use etherpen::drives::DriveInput;
-use etherpen::drives::cia402::StatusWord;
+use etherpen::drives::cia402::{DriveState, StatusWord};
 use etherpen::motion::Setpoint;
 use etherpen::robots::{AXES, JointAngles};
 
@@ -152,14 +152,7 @@ impl<'a, 'q> Player<'a, 'q> {
         }
         let ends = before.following && !now.following;
         let recent_ms = now.t_ms.wrapping_sub(EVENT_MS);
-        for axis in 0..AXES {
-            // A drive that was away comes back without its home when it was configured again.
-            let recent = self.samples.get(index.saturating_sub(EVENT_MS as usize)..index);
-            let was_away = recent.unwrap_or_default().iter().any(|sample| !sample.valid[axis]);
-            if before.homed[axis] && !now.homed[axis] && now.valid[axis] && was_away {
-                self.control.configured_again(axis);
-            }
-        }
+        self.configure_again(index, before, now);
         let homes_again = ends && self.events.was_accepted(recent_ms, EVENT_MS, is_home);
         if homes_again || before.homed != [true; AXES] && now.homed == [true; AXES] {
             self.home(now);
@@ -172,11 +165,25 @@ impl<'a, 'q> Player<'a, 'q> {
             self.queued = index;
             self.follow();
         }
-        let stops = self
-            .events
-            .happened(recent_ms, 2 * EVENT_MS, &Event::Mode(Mode::Stopping));
+        // The sampler takes an order in the millisecond after it.
+        let ordered_ms = before.t_ms.wrapping_sub(1);
+        let stops = self.events.happened(ordered_ms, 2, &Event::Mode(Mode::Stopping));
         if ends && (stops || !homes_again) && !self.runs_dry(index) {
             self.control.order(SamplerCommand::Power(Power::QuickStop));
+        }
+    }
+
+    /// Configures drives again that were away and come back without power and home.
+    fn configure_again(&mut self, index: usize, before: &SampleEntry, now: &SampleEntry) {
+        let recent = self.samples.get(index.saturating_sub(EVENT_MS as usize)..index);
+        let recent = recent.unwrap_or_default();
+        for axis in 0..AXES {
+            let was_away = recent.iter().any(|sample| !sample.valid[axis]);
+            let loses_home = before.homed[axis] && !now.homed[axis] && now.valid[axis];
+            let has_power = StatusWord(now.status_word[axis]).state() == DriveState::OperationEnabled;
+            if was_away && loses_home && !has_power {
+                self.control.configured_again(axis);
+            }
         }
     }
 

@@ -1,0 +1,66 @@
+//! Requirements on the model of an axis in torque mode that need no plant.
+
+use super::*;
+
+/// Digits for an N m.
+const DIGITS_PER_NM: f64 = 390.0;
+
+fn model(axis: &Axis) -> TorqueModel {
+    TorqueModel::new(axis, DIGITS_PER_NM)
+}
+
+#[test]
+fn each_axis_is_told_its_own_demand_the_others_and_the_greatest() {
+    let (now, next) = ([0.5, -2.0, 1.0, 0.0], [0.51, -2.03, 1.0, 0.004]);
+    let demanded = Demanded::between([&now, &next]);
+    let close = |value: f32, expected: f64| (f64::from(value) - expected).abs() < 1.0e-3;
+    for axis in &demanded {
+        assert!(
+            close(axis.greatest_rad_s, 2.0) && close(axis.greatest_rad_s2, 30.0),
+            "{axis:?}"
+        );
+    }
+    let own = [(0.5, 10.0), (-2.0, -30.0), (1.0, 0.0), (0.0, 4.0)];
+    let others = [34.0, 14.0, 44.0, 40.0];
+    for ((axis, (rad_s, rad_s2)), others) in demanded.iter().zip(own).zip(others) {
+        assert!(
+            close(axis.own_rad_s, rad_s) && close(axis.own_rad_s2, rad_s2),
+            "{axis:?}"
+        );
+        assert!(close(axis.others_rad_s2, others), "{axis:?}");
+    }
+}
+
+#[test]
+fn what_was_unknown_when_a_drive_took_its_power_is_forgotten_at_rest() {
+    let mut model = model(&Axis::default());
+    let limit = |model: &TorqueModel| model.pushed.limit;
+    model.expect(0.0);
+    assert!(model.follows(0.0));
+    let enabled = limit(&model);
+    for _ in 0..20_000 {
+        model.expect(0.0);
+        assert!(model.follows(0.0));
+    }
+    let friction = FRICTION_RAD_S2 * STEP_S2;
+    assert!(enabled > friction + 1.9 * ENABLING_RAD_S2 * STEP_S2, "{enabled}");
+    assert!(
+        limit(&model) < friction + 0.1 * ENABLING_RAD_S2 * STEP_S2,
+        "{}",
+        limit(&model)
+    );
+}
+
+#[test]
+fn an_axis_without_an_inertia_has_limits_that_are_numbers() {
+    let axis = Axis {
+        inertia_kg_m2: 0.0,
+        ..Axis::default()
+    };
+    let mut model = model(&axis);
+    for _ in 0..100 {
+        assert!(model.expect(100.0).is_finite());
+        model.follows(0.0);
+        assert!(model.used().iter().all(|used| used.is_finite()), "{:?}", model.used());
+    }
+}
