@@ -213,7 +213,7 @@ mod tests {
         let axis = axis();
         let mut controller = VelocityController::new(&axis);
         // The setpoint brakes all the time, and the axis is always too slow.
-        let braking = || (0..12).map(|ms| -100.0 * f64::from(ms) * STEP_S);
+        let braking = || (0..12).map(|ms| -400.0 * f64::from(ms) * STEP_S);
         for _ in 0..20_000 {
             let torque_nm = controller.step(1.0, 0.0, braking());
             assert!(torque_nm.abs() <= axis.torque_max_nm);
