@@ -223,6 +223,13 @@ mod tests {
     }
 
     #[test]
+    fn a_packet_without_payload_is_complete() {
+        let mut bytes = [0xAA; 60];
+        assert_eq!(REPR.emit(&mut bytes, 0), Ok(60));
+        assert_eq!(UdpRepr::parse(&bytes), Ok((REPR, 42..42)));
+    }
+
+    #[test]
     fn the_headers_have_the_bytes_of_the_standards() {
         // The sum of the other nine 16-bit words of the header, complemented, computed by hand.
         let ip = [
