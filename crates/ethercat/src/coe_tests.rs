@@ -69,6 +69,7 @@ fn information(fragments_left: u16, body: Information<'_>) -> Vec<u8> {
 }
 
 /// Serves the two lanes: registers of the mailboxes, and the mailboxes themselves.
+#[derive(Default)]
 struct Slave {
     script: VecDeque<Step>,
     waiting: VecDeque<Vec<u8>>,
@@ -76,19 +77,31 @@ struct Slave {
     anything: Option<Vec<Vec<u8>>>,
     /// Whether the mailbox for requests is full and stays so.
     is_stuck: bool,
+    /// What a request to repeat brings; if empty, there is nothing to repeat.
+    repetition: Vec<Vec<u8>>,
+    /// The repeat bit as the slave has last answered it.
+    repeat_bit: u8,
 }
 
 impl Slave {
-    fn register(&self, request: &Request) -> Reply {
+    fn register(&mut self, request: &Request) -> Reply {
         let manager = register::sync_manager(1);
         let input_status = manager + register::SYNC_MANAGER_STATUS_OFFSET;
         let activate = manager + register::SYNC_MANAGER_ACTIVATE_OFFSET;
-        // A request to repeat is counted, but there is nothing to repeat.
         let asks = (Command::Fpwr, activate) == (request.command, request.address.register());
         assert!(request.command == Command::Fprd || asks, "{request:?}");
+        if asks && !self.repetition.is_empty() {
+            self.waiting.extend(self.repetition.drain(..));
+            self.repeat_bit = request.data[0] & register::SYNC_MANAGER_REPEAT;
+        }
+        let answered = manager + register::SYNC_MANAGER_PDI_OFFSET;
         let full = request.address.register() == input_status && !self.waiting.is_empty();
         let mut data = request.data.clone();
-        data[0] = if full { register::MAILBOX_FULL_BIT } else { 0 };
+        data[0] = match request.address.register() {
+            at if at == answered => self.repeat_bit,
+            _ if full => register::MAILBOX_FULL_BIT,
+            _ => 0,
+        };
         Reply {
             data,
             outcome: Outcome::Processed { working_counter: 1 },
@@ -127,9 +140,7 @@ impl Slave {
 fn run<T>(script: Vec<Step>, work: impl AsyncFnOnce(&mut ObjectDictionary<'_, '_, MESSAGE>) -> T) -> (T, Mailbox) {
     let slave = Slave {
         script: script.into(),
-        waiting: VecDeque::new(),
-        anything: None,
-        is_stuck: false,
+        ..Slave::default()
     };
     run_with(slave, work)
 }
@@ -401,6 +412,32 @@ fn messages_between_request_and_answer_are_dispatched_and_the_wait_continues() {
 }
 
 #[test]
+fn a_repetition_of_the_message_before_is_counted_and_not_taken_for_the_answer() {
+    let ask = || {
+        sdo(Sdo::Upload {
+            object: OBJECT,
+            complete: false,
+        })
+    };
+    let reply = |counter: u8, value: u8| {
+        let data = &[value][..];
+        let mut bytes = answer(Sdo::UploadExpedited { object: OBJECT, data });
+        bytes[5] = bytes[5] & 0x0F | counter << 4;
+        bytes
+    };
+    let slave = Slave {
+        script: vec![(ask(), vec![reply(1, 7)]), (ask(), vec![])].into(),
+        repetition: vec![reply(1, 7), reply(2, 8)],
+        ..Slave::default()
+    };
+    let (values, mailbox) = run_with(slave, async |dictionary| {
+        (dictionary.read(OBJECT, 1).await, dictionary.read(OBJECT, 1).await)
+    });
+    assert_eq!(values, (Ok(7), Ok(8)));
+    assert_eq!(mailbox.unexpected(), 1);
+}
+
+#[test]
 fn a_mailbox_error_ends_the_request() {
     let script = vec![(
         sdo(Sdo::Upload {
@@ -522,10 +559,8 @@ fn no_answer_however_made_panics_or_runs_for_ever() {
             answers.push(message(Protocol::Coe, &data));
         }
         let slave = Slave {
-            script: VecDeque::new(),
-            waiting: VecDeque::new(),
             anything: Some(answers),
-            is_stuck: false,
+            ..Slave::default()
         };
         let (ended, _) = run_with(slave, async |dictionary| {
             let mut buffer = [0; 60];
@@ -542,10 +577,8 @@ fn no_answer_however_made_panics_or_runs_for_ever() {
 #[test]
 fn a_slave_that_takes_no_request_is_given_up_after_a_second() {
     let slave = Slave {
-        script: VecDeque::new(),
-        waiting: VecDeque::new(),
-        anything: None,
         is_stuck: true,
+        ..Slave::default()
     };
     let (ended, _) = run_with(slave, async |dictionary| {
         dictionary.upload_into(OBJECT, false, &mut [0; 60]).await
