@@ -220,6 +220,25 @@ mod tests {
     }
 
     #[test]
+    fn a_frame_ends_at_its_longest_length_in_a_longer_buffer_too() {
+        let mut bytes = [0; FRAME_LEN_MAX + 100];
+        let mut builder = FrameBuilder::new(&mut bytes, SOURCE).unwrap();
+        let room = builder.room().unwrap();
+        let refused = builder.push(Command::Fpwr, 0, Address::default(), room + 1).err();
+        assert_eq!(
+            refused,
+            Some(Error::Room {
+                expected: 1487,
+                actual: 1486
+            })
+        );
+        assert_eq!(builder.room(), Some(room), "the frame is unchanged");
+        builder.push(Command::Fpwr, 0, Address::default(), room).unwrap();
+        assert!(builder.push(Command::Fpwr, 0, Address::default(), 0).is_err());
+        assert_eq!(builder.finish(), FRAME_LEN_MAX);
+    }
+
+    #[test]
     fn other_protocols_types_and_cut_frames_are_distinguished() {
         let mut bytes = [0; 60];
         let mut builder = FrameBuilder::new(&mut bytes, SOURCE).unwrap();
