@@ -439,3 +439,6 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
 
 /// A list with a place for each slave of one inspection.
 type LookList<T> = Vec<T, { bus::LOOK_MAX }>;
+
+#[cfg(test)]
+mod tests;
