@@ -57,6 +57,34 @@ fn the_pen_has_limits_of_its_own() {
 }
 
 #[test]
+fn a_jog_keeps_the_pens_limits_too() {
+    for (speed, acceleration) in [(20.0, 300.0), (0.0, 300.0), (20.0, 0.0)] {
+        let mut settings = Settings::default();
+        settings.motion.pen_speed_mm_s = speed;
+        settings.motion.pen_acceleration_mm_s2 = acceleration;
+        let name = format!("{speed} mm/s, {acceleration} mm/s2");
+        let mut run = Run::new(&settings, &[vertex([0.0, 0.0, -800.0], Pen::Up, 0)]);
+        for z_mm_s in [60.0, -60.0] {
+            for _ in 0..40 {
+                run.command(MotionCommand::Jog([0.0, 0.0, z_mm_s]));
+                run.step();
+            }
+        }
+        run.command(MotionCommand::JogStop);
+        run.until(MotionState::Idle);
+        run.check_limits(&name);
+        let (fastest, strongest) = vertical(&run);
+        let wanted = if speed > 0.0 { speed } else { 60.0 };
+        assert!(fastest > 0.9 * wanted, "{name}: {fastest} mm/s");
+        assert!(fastest <= wanted * (1.0 + EXCESS), "{name}: {fastest} mm/s");
+        assert!(
+            acceleration == 0.0 || strongest <= acceleration * (1.0 + EXCESS) + 0.1,
+            "{name}: {strongest} mm/s2"
+        );
+    }
+}
+
+#[test]
 fn random_lifts_keep_the_pens_limits_between_the_points_of_the_grid_too() {
     let (mut worst, mut samples) = ((0.0_f64, 0.0_f64), 0);
     for seed in 1..=250 {
