@@ -230,6 +230,52 @@ fn moves_and_the_pen_keep_the_limits_and_unreachable_targets_are_refused() {
 }
 
 #[test]
+fn a_move_that_is_ended_brakes_at_once_and_within_the_limits() {
+    let settings = Settings::default();
+    let (from, to) = ([-100.0, 0.0, -800.0], [100.0, 40.0, -800.0]);
+    let moving = || {
+        let mut run = Run::new(&settings, &[vertex(from, Pen::Up, 0)]);
+        // No path follows.
+        run.pushed = run.path.len();
+        run.command(MotionCommand::MoveTo(to.into()));
+        run
+    };
+    let whole = {
+        let mut run = moving();
+        run.until(MotionState::Idle);
+        run.setpoints.len() / PERIOD_MS
+    };
+    for command in [MotionCommand::Cancel, MotionCommand::Hold] {
+        for periods in 1..whole - 1 {
+            let name = format!("{command:?} after {periods} periods");
+            let mut run = moving();
+            for _ in 0..periods {
+                run.step();
+            }
+            assert_eq!(run.trajectory.state(), MotionState::Moving, "{name}");
+            let going = length(&subtract(&run.end(), &from));
+            run.command(command);
+            // A second command does not prolong the braking.
+            run.step();
+            let _ = run.trajectory.command(command);
+            run.until(MotionState::Idle);
+            assert!(run.setpoints.len() / PERIOD_MS <= whole + 1, "{name}: too late");
+            let moved = length(&subtract(&run.end(), &from));
+            assert!(moved >= going, "{name}: back from {going} to {moved} mm");
+            assert!(distance(&run.end(), &from, &to) < 1.0e-6, "{name}: beside the line");
+            if periods < whole / 3 {
+                assert!(moved < 0.75 * length(&subtract(&to, &from)), "{name}: {moved} mm");
+            }
+            run.check_limits(&name);
+            run.command(MotionCommand::MoveTo(to.into()));
+            run.until(MotionState::Idle);
+            assert!(length(&subtract(&run.end(), &to)) < 1.0e-6, "{name}: a move can follow");
+            run.check_limits(&name);
+        }
+    }
+}
+
+#[test]
 fn what_is_not_a_number_is_refused_and_a_full_queue_says_so() {
     let settings = Settings::default();
     let mut trajectory = placed(&settings, [0.0, 0.0, -850.0]);
