@@ -97,6 +97,52 @@ fn a_path_that_stops_coming_ends_at_rest_on_the_path_and_goes_on_when_it_returns
 }
 
 #[test]
+fn a_path_that_stops_coming_leaves_the_pen_on_the_paper_for_the_dwell() {
+    let (path, _) = portrait(&mut Random::new(5), 1);
+    for dwell_ms in [0_u16, 120, 500] {
+        let mut settings = Settings::default();
+        settings.motion.starve_dwell_ms = dwell_ms;
+        let name = format!("dwell {dwell_ms} ms");
+        let starved = || {
+            let mut run = Run::new(&settings, &path);
+            run.command(MotionCommand::Start);
+            run.feed(12);
+            let starves = (0..100).any(|_| {
+                run.step();
+                run.trajectory.state() == MotionState::Starved
+            });
+            assert!(starves, "{name}: {:?}", run.trajectory.state());
+            run
+        };
+        let mut run = starved();
+        let lifts = (0..100).any(|_| {
+            run.step();
+            run.end()[2] > -849.9
+        });
+        assert!(lifts, "{name}: the pen stays on the paper");
+        let still = |r: &&Setpoint| r.pen == Pen::Down && r.velocity_rad_s == [0.0; AXES];
+        let rested_ms = run.setpoints.iter().filter(still).count();
+        // The dwell counts whole periods, from the first that finds the motion at rest.
+        let least_ms = usize::from(dwell_ms).saturating_sub(PERIOD_MS);
+        assert!(
+            (least_ms..=least_ms + 4 * PERIOD_MS).contains(&rested_ms),
+            "{name}: at rest on the paper for {rested_ms} ms"
+        );
+        run.until(MotionState::Idle);
+        run.check_limits(&name);
+        // Path data that return in time find the pen on the paper.
+        let mut run = starved();
+        for _ in 0..usize::from(dwell_ms) / PERIOD_MS / 2 {
+            run.step();
+            assert!(run.end()[2] < -849.999, "{name}: the pen was lifted");
+        }
+        run.until(MotionState::Idle);
+        run.check_limits(&name);
+        assert_eq!(run.trajectory.executed() as usize, path.len(), "{name}");
+    }
+}
+
+#[test]
 fn an_override_scales_the_speed_within_the_other_limits() {
     let settings = Settings::default();
     let path = [
