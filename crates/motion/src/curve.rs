@@ -65,7 +65,7 @@ impl BlendShape {
     /// Shape for the cosine of the turn angle.
     pub(crate) fn for_turn(cosine: f64) -> Self {
         let rows = libm::acos(cosine.clamp(-1.0, 1.0)) * (6.0 / core::f64::consts::PI);
-        let row = (rows as usize).min(BLEND_SHAPES.len() - 2);
+        let row = rows as usize;
         let part = rows - row as f64;
         let (low, high) = (
             BLEND_SHAPES.get(row).copied().unwrap_or_default(),

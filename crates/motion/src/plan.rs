@@ -292,7 +292,7 @@ impl Plan {
                 first.span.heading = arrival;
                 self.points.push(first);
             }
-            None => start.stop = false,
+            None => {}
         }
         start.span.heading = self.course.angle;
         self.points.push(start);

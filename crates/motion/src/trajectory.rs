@@ -518,7 +518,6 @@ impl Motion {
     fn drop_path(&mut self) {
         self.queue.clear();
         self.finished = false;
-        self.starving_ms = 0;
         self.activity = Activity::Rest;
         self.settle();
     }
