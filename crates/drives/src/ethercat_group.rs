@@ -148,3 +148,19 @@ where
         self.exchange.set_encapsulation(encapsulation);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use etherpen_ethercat::BusQueues;
+    use std::boxed::Box;
+
+    #[test]
+    fn the_places_of_a_plan_are_taken_over_once() {
+        let mut queues = Box::new(BusQueues::<ServoDrives<2>, 4, 1_024>::new());
+        let (exchange, ..) = queues.split();
+        let mut group = EtherCatGroup::new(Exchange::new(exchange, [0x10, 0, 0, 0, 0, 1]));
+        assert!(group.renew(), "the first plan is new");
+        assert!(!group.renew() && !group.renew(), "and the same from then on");
+    }
+}

@@ -64,6 +64,11 @@ fn operational(mode: AxisMode, segment: FakeSegment, look: impl Fn(&mut Bench<'_
 
 /// Runs until the bring-up is refused and returns the error of the first slave.
 fn refusal(mode: AxisMode, segment: FakeSegment) -> BusError {
+    refusal_of(0, mode, segment)
+}
+
+/// Runs until the bring-up is refused and returns the error of this slave.
+fn refusal_of(slave: u8, mode: AxisMode, segment: FakeSegment) -> BusError {
     let mut found = None;
     run_with(
         setup(mode),
@@ -72,7 +77,7 @@ fn refusal(mode: AxisMode, segment: FakeSegment) -> BusError {
         |_, _, events| {
             found = events.iter().find_map(|event| match event {
                 BusEvent::Refused { position, step, error } => {
-                    assert_eq!((*position, *step), (Some(0), Step::Objects));
+                    assert_eq!((*position, *step), (Some(slave), Step::Objects));
                     Some(*error)
                 }
                 _ => None,
@@ -154,6 +159,22 @@ fn a_drive_that_keeps_its_assignment_is_used_as_it_is() {
         matches!(error, BusError::SdoAbort { object: at, .. } if at == object),
         "{error:?}"
     );
+}
+
+#[test]
+fn a_drive_that_keeps_one_of_its_assignments_is_not_taken_for_its_twin() {
+    for (assignment, fixed) in [(0x1C12, 0x1701_u16), (0x1C13, 0x1B07)] {
+        let mut chain = FakeSegment::drives(4);
+        let other = &mut chain.slaves[1];
+        other.read_only = vec![assignment];
+        other.objects.insert((assignment, 1), fixed.to_le_bytes().to_vec());
+        let error = refusal_of(1, AxisMode::Velocity, chain);
+        let unlisted = Object::new(fixed, 0);
+        assert!(
+            matches!(error, BusError::SdoAbort { object, .. } if object == unlisted),
+            "{error:?}"
+        );
+    }
 }
 
 #[test]

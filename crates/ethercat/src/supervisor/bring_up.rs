@@ -59,7 +59,6 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
 
     /// Makes the slaves' clocks agree and has the reference's time distributed from then on.
     pub(super) async fn set_up_clocks(&mut self) -> Result<(), Failure> {
-        self.clocks = BusClocks::default();
         if !self.setup.clocks {
             return Ok(());
         }
