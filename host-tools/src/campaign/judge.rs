@@ -280,7 +280,8 @@ impl Judge {
     /// The robot is homed: encoders that were mounted again show true positions.
     fn homed(&mut self) {
         for (axis, mounted) in self.mounted.iter_mut().enumerate() {
-            if std::mem::take(mounted) {
+            // A younger disturbance lasts on.
+            if std::mem::take(mounted) && self.untrue[axis] == 0 {
                 self.inputs.push(Input::Feedback { axis, disturbed: false });
             }
         }
@@ -343,6 +344,7 @@ impl Judge {
     /// Tells the ends that have come. What is disturbed several times is sound again when the last of them has ended.
     fn end_disturbances(&mut self, now_ms: u64) {
         let (inputs, disturbances, untrue) = (&mut self.inputs, &mut self.disturbances, &mut self.untrue);
+        let mounted = &self.mounted;
         self.ends.retain(|(ends_ms, end)| {
             let over = *ends_ms <= now_ms;
             if !over {
@@ -357,7 +359,9 @@ impl Judge {
                 *left = left.saturating_sub(1);
                 *left == 0
             });
-            inputs.extend(is_last.then_some(*end));
+            // A mounted encoder is not true before the robot is homed.
+            let awaits_home = matches!(*end, Input::Feedback { axis, .. } if mounted.get(axis) == Some(&true));
+            inputs.extend((is_last && !awaits_home).then_some(*end));
             false
         });
     }
@@ -588,6 +592,32 @@ mod tests {
             judge.answered(&Command::Home, true);
             assert!(!judge.asks_for_homing());
         }
+        // A mounted encoder stays untrue over younger disturbances, and until the robot is homed after them.
+        let mut judge = Judge::new(&config);
+        let told_true = |judge: &Judge| {
+            let sound = |input: &&Input| {
+                matches!(
+                    input,
+                    Input::Feedback {
+                        axis: 1,
+                        disturbed: false
+                    }
+                )
+            };
+            judge.inputs.iter().filter(sound).count()
+        };
+        for words in ["slip 2 10 50", "stuck 2 0", "stuck 2 20"] {
+            judge.injected(fault(words), 1, 1_000);
+        }
+        judge.end_disturbances(2_000);
+        assert_eq!(told_true(&judge), 0, "nobody has homed");
+        judge.injected(fault("slip 2 10 50"), 1, 2_000);
+        judge.answered(&Command::Home, true);
+        assert_eq!(told_true(&judge), 0, "it slips again");
+        judge.injected(fault("stuck 2 0"), 1, 3_000);
+        judge.answered(&Command::Home, true);
+        assert_eq!(told_true(&judge), 1);
+
         let mut judge = Judge::new(&config);
         judge.injected(fault("remove 3"), 1, 1_000);
         judge.end_disturbances(1_000_000);

@@ -56,7 +56,8 @@ pub struct Arguments {
     #[arg(long)]
     discard: bool,
     /// Replay the recording: run the controller's 1 ms loop in virtual time with the recorded inputs, and compare its
-    /// results and faults with the recorded ones. With another configuration, it shows what that one would have done.
+    /// results and faults with the recorded ones. With other limits in --config, it shows the fault that they would have
+    /// raised at the same positions and setpoints.
     #[arg(long)]
     replay: bool,
     /// Print the summary, all events and the replay as JSON on stdout.
@@ -192,7 +193,9 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
 /// The recording, replayed.
 fn replay_of(contents: &Contents, config: &Config) -> Result<Replay, ProgramError> {
     if contents.config_hash().is_some_and(|hash| config.hash() != Some(hash)) {
-        eprintln!("the recording was made with another configuration; the replay shows what this one would have done");
+        eprintln!(
+            "the recording was made with another configuration; the replay shows the fault that this one would have raised at the same positions and setpoints"
+        );
     }
     replay(contents, config).map_err(|why| ProgramError::new(code::INPUT, why))
 }
@@ -204,7 +207,7 @@ fn replay_text(replay: &Replay) -> String {
         let before_ms = latched.before_end_s * 1e3;
         (
             before_ms,
-            words.unwrap_or_else(|| "its event was overwritten".to_owned()),
+            words.unwrap_or_else(|| "its event is missing, or another fault came first".to_owned()),
         )
     };
     let mut shown = format!("\nreplay: the same results in {} ms\n", replay.agreed_ms);

@@ -171,6 +171,48 @@ fn a_slave_plugged_in_before_the_others_gets_a_number_behind_them_and_disturbs_n
 }
 
 #[test]
+fn slaves_plugged_in_at_the_same_time_are_all_found_at_once() {
+    let mut plugged_ms = None;
+    let mut shown = Vec::new();
+    run(
+        numbered(),
+        |_| false,
+        |now_ms, bench, events| {
+            if events.contains(&BusEvent::Operational) {
+                for place in [1, 3, 6] {
+                    bench.segment.slaves.insert(place, FakeSlave::drive());
+                }
+                plugged_ms = Some(now_ms);
+                return Next::On;
+            }
+            let Some(since_ms) = plugged_ms else { return Next::On };
+            shown.extend(events.iter().map(|event| (now_ms, *event)));
+            if now_ms < since_ms + 500 { Next::On } else { Next::Done }
+        },
+    );
+    let found: Vec<_> = shown
+        .iter()
+        .filter(|(_, event)| matches!(event, BusEvent::Found { .. }))
+        .collect();
+    assert!(matches!(found[..], [(_, BusEvent::Found { slaves: 7 })]), "{shown:?}");
+    let extras: Vec<(u32, u8)> = shown
+        .iter()
+        .filter_map(|(ms, event)| match event {
+            BusEvent::Slave {
+                position, member: None, ..
+            } => Some((*ms, *position)),
+            _ => None,
+        })
+        .collect();
+    let numbers: Vec<u8> = extras.iter().map(|(_, number)| *number).collect();
+    assert_eq!(numbers, [4, 5, 6]);
+    let [(first_ms, _), .., (last_ms, _)] = extras[..] else {
+        panic!("{extras:?}")
+    };
+    assert!(last_ms - first_ms < 80, "in one look through the chain: {extras:?}");
+}
+
+#[test]
 fn a_power_cycled_slave_is_found_behind_one_that_was_plugged_in_meanwhile() {
     let log = after_harm(
         &[2],

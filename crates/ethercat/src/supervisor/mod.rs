@@ -45,6 +45,8 @@ const LOOK_PERIOD_MS: u32 = 20;
 pub const LINK_TIMEOUT_MS: u32 = 5_000;
 /// How often a repair is restarted after another slave has interrupted it.
 const REPAIR_TRIES_MAX: u8 = 3;
+/// Rescans that may fail one after the other before the chain is taken as it is.
+const RESCANS_FAILED_MAX: u8 = 10;
 
 const _: () = {
     assert!(
@@ -119,6 +121,8 @@ pub struct Supervisor<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     phase: Phase,
     /// Number of slaves at the last rescan.
     slaves_sorted: u16,
+    /// Rescans of this number that failed, one after the other.
+    rescans_failed: u8,
     inspected_ms: u32,
     looked_ms: u32,
     look_next: usize,
@@ -152,6 +156,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             port_missed: false,
             phase: Phase::Stopped,
             slaves_sorted: 0,
+            rescans_failed: 0,
             inspected_ms: 0,
             looked_ms: 0,
             look_next: 0,
@@ -319,9 +324,14 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             };
             let work = pin!(bus.rescan());
             let result = inbox.guard(expected, false, work).await;
-            // A chain that has changed meanwhile is looked through again at the next suspicion.
-            if !matches!(result, Err(_) | Ok(Err(BusError::SlaveCount { .. }))) {
-                self.slaves_sorted = there;
+            // A chain that has changed meanwhile is looked through again at the next suspicion; a slave that never
+            // answers as it should does not keep the bus busy for ever.
+            self.rescans_failed = match result {
+                Ok(Ok(())) => 0,
+                _ => self.rescans_failed + 1,
+            };
+            if self.rescans_failed == 0 || self.rescans_failed >= RESCANS_FAILED_MAX {
+                (self.slaves_sorted, self.rescans_failed) = (there, 0);
             }
         } else if there <= self.bus.present() {
             self.slaves_sorted = there;

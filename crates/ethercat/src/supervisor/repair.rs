@@ -73,7 +73,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     }
 
     /// The station addresses along a chain that has not changed while they were read.
-    async fn settled_places(&mut self) -> Result<Places, BusError> {
+    pub(super) async fn settled_places(&mut self) -> Result<Places, BusError> {
         let mut places = Places::new();
         let mut found = discovery::count(&mut self.port).await?;
         for _ in 0..SETTLED_TRIES_MAX {
@@ -221,9 +221,16 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             Err(_) => 0,
         };
         self.name(station).await?;
-        Err(BusError::SlaveCount {
-            expected: places.len() as u16,
-            actual: there?.len() as u16,
+        let there = there?;
+        Err(match there.get(usize::from(place)) {
+            Some(station) if there.len() == places.len() => BusError::Station {
+                expected: STATION_TEMPORARY,
+                actual: *station,
+            },
+            _ => BusError::SlaveCount {
+                expected: places.len() as u16,
+                actual: there.len() as u16,
+            },
         })
     }
 

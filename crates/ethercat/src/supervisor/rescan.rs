@@ -8,42 +8,28 @@
 //!
 //! Invariant: the rescan changes no slave's state and gives no slave process data.
 
-use super::super::configure::discovery::STATION_BASE;
+use super::super::configure::discovery::{STATION_BASE, STATION_TEMPORARY};
 use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
 use super::super::event::BusEvent;
 use super::super::slave::{Condition, Slave};
 use super::super::wire::sii::FixedPart;
 use super::bus::Bus;
+use super::repair::Places;
 
 impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAVES, MESSAGE> {
-    /// Looks through the chain for slaves without an address of this bus.
+    /// Looks through the chain for slaves without an address of this bus. What was found before an error stays.
     pub(super) async fn rescan(&mut self) -> Result<(), BusError> {
-        let places = self.places().await?;
+        let mut places = self.places().await?;
         let mut extra = false;
-        for (place, station) in (0_u16..).zip(&places) {
-            if self.number_of(*station).is_some() {
-                continue;
-            }
-            self.mark(place, &places).await?;
-            // A slave that cannot be read is an unknown device.
-            let fixed = self.read_marked().await.unwrap_or_default();
-            let belongs_here = |slave: &Slave<F>| {
-                let between = self.strangers_between(usize::from(slave.position), &places);
-                slave.condition == Condition::Lost && between.contains(&place)
-            };
-            let returned = self
-                .slaves
-                .iter()
-                .position(|slave| belongs_here(slave) && self.is_same(slave, &fixed.identity).is_ok());
-            let is_awaited = self
-                .slaves
-                .iter()
-                .any(|slave| slave.member.is_some() && belongs_here(slave));
-            match returned {
-                Some(number) => self.readdress(number).await?,
-                None if is_awaited => self.name(0).await?,
-                None => extra |= self.admit(fixed).await?,
+        let mut sorted = Ok(());
+        for place in 0..places.len() {
+            match self.sort(place, &mut places).await {
+                Ok(is_extra) => extra |= is_extra,
+                Err(error) => {
+                    sorted = Err(error);
+                    break;
+                }
             }
         }
         if extra {
@@ -52,24 +38,70 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         }
         self.read_ports().await;
         self.send_plan().await;
-        Ok(())
+        sorted
     }
 
-    /// Recognises a returned slave that is not in use; a slave in use keeps waiting for its repair.
-    async fn readdress(&mut self, number: usize) -> Result<(), BusError> {
+    /// Looks at one place, and notes there the address that its slave has got; returns whether it is an extra one.
+    async fn sort(&mut self, place: usize, places: &mut Places) -> Result<bool, BusError> {
+        let station = places.get(place).copied().unwrap_or(0);
+        if self.number_of(station).is_some() {
+            return Ok(false);
+        }
+        self.mark(place as u16, places).await?;
+        let fixed = match self.read_marked().await {
+            Ok(fixed) => fixed,
+            // It is an unknown device, unless it has gone.
+            Err(_) if self.settled_places().await?.contains(&STATION_TEMPORARY) => FixedPart::default(),
+            Err(error) => return Err(error),
+        };
+        let belongs_here = |slave: &Slave<F>| {
+            let between = self.strangers_between(usize::from(slave.position), places);
+            slave.condition == Condition::Lost && between.contains(&(place as u16))
+        };
+        let returned = self
+            .slaves
+            .iter()
+            .position(|slave| belongs_here(slave) && self.is_same(slave, &fixed.identity).is_ok());
+        let is_awaited = self
+            .slaves
+            .iter()
+            .any(|slave| slave.member.is_some() && belongs_here(slave));
+        let (named, is_extra) = match returned {
+            Some(number) => (self.readdress(number).await?, false),
+            None if is_awaited => {
+                self.name(0).await?;
+                (0, false)
+            }
+            None => {
+                let station = self.admit(fixed).await?;
+                (station, station != 0)
+            }
+        };
+        if let Some(there) = places.get_mut(place) {
+            *there = named;
+        }
+        Ok(is_extra)
+    }
+
+    /// Recognises a returned slave that is not in use; a slave in use keeps waiting for its repair. Returns its address,
+    /// or 0 while it waits.
+    async fn readdress(&mut self, number: usize) -> Result<u16, BusError> {
         let unused = self.slaves.get(number).filter(|slave| slave.member.is_none());
         match unused.map(Slave::station) {
             Some(station) => {
                 self.name(station).await?;
                 self.inspect(number..number + 1).await;
+                Ok(station)
             }
-            None => self.name(0).await?,
+            None => {
+                self.name(0).await?;
+                Ok(0)
+            }
         }
-        Ok(())
     }
 
-    /// Gives an extra slave a number behind all others; returns whether there was room.
-    async fn admit(&mut self, fixed: FixedPart) -> Result<bool, BusError> {
+    /// Gives an extra slave a number behind all others; returns its address, or 0 if there was no room.
+    async fn admit(&mut self, fixed: FixedPart) -> Result<u16, BusError> {
         let number = self.slaves.len();
         let slave = Slave {
             fixed,
@@ -78,11 +110,11 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         };
         if self.slaves.push(slave).is_err() {
             self.name(0).await?;
-            return Ok(false);
+            return Ok(0);
         }
         let station = STATION_BASE.wrapping_add(number as u16);
         self.name(station).await?;
         self.inspect(number..number + 1).await;
-        Ok(true)
+        Ok(station)
     }
 }

@@ -1,10 +1,10 @@
 //! Compares the replay with the recording, millisecond by millisecond.
 
 use super::super::contents::SampleEntry;
-use super::events::Events;
-use super::{SETTLED_MS, by_torque};
+use super::SETTLED_MS;
+use super::events::{EVENT_MS, Events};
 use etherpen::application::{Fault, StopSource};
-use etherpen::config::Config;
+use etherpen::config::{AxisMode, Config};
 use etherpen::control::sampler::{CycleReport, STANDSTILL_MS};
 use etherpen::robots::AXES;
 use std::f64::consts::TAU;
@@ -18,8 +18,9 @@ const ROUNDING: f64 = 1.2e-7;
 /// What a millisecond has shown.
 #[derive(Clone, Debug, PartialEq)]
 pub(super) enum Finding {
-    /// Recording and replay agree. A fault may have latched in both.
-    Agreed { latched: bool },
+    /// Recording and replay agree. A fault may have latched in both: the recorded one, or `None` if its event is missing
+    /// or is that of another task.
+    Agreed { latched: Option<Option<Fault>> },
     /// A fault whose cause the samples do not hold, or not all of it; `None` if its event has been overwritten.
     NotRecorded(Option<Fault>),
     /// What differs, in words.
@@ -81,13 +82,22 @@ impl<'a> Comparison<'a> {
         self.was_latched = report.fault.is_some();
         self.knows_fault |= !now.fault;
         match (not_recorded, differs) {
-            _ if index < SETTLED_MS => Finding::Agreed { latched: false },
+            _ if index < SETTLED_MS => Finding::Agreed { latched: None },
             (Some(fault), _) => Finding::NotRecorded(fault),
             (None, Some(what)) => Finding::Differs(what),
             (None, None) => Finding::Agreed {
-                latched: is_new && self.was_latched,
+                latched: (is_new && self.was_latched).then(|| self.told(now, report)),
             },
         }
+    }
+
+    /// The recorded fault, if it is the replayed one.
+    fn told(&self, now: &SampleEntry, report: &CycleReport) -> Option<Fault> {
+        let recorded = self.events.fault_at(now)?;
+        report
+            .fault
+            .filter(|replayed| is_alike(&recorded, replayed))
+            .and(Some(recorded))
     }
 
     /// A fault of the recording or of the replay whose cause is not in the samples, or not all of it.
@@ -97,16 +107,25 @@ impl<'a> Comparison<'a> {
         }
         let fault = report.fault.or_else(|| self.events.fault_at(now));
         let is_outside = match fault {
-            Some(Fault::SlaveState { .. } | Fault::ClockLost { .. } | Fault::ClockJump { .. }) => true,
-            // Commanded and measured motion are compared since the drives got power; a torque is rounded to the digits
-            // of a kind of drive that is not recorded.
-            Some(Fault::FeedbackDeviation { .. } | Fault::FeedbackNoise { .. }) => {
-                !self.begins_without_power || by_torque(self.config)
-            }
-            Some(_) => false,
-            None => self.events.begin_after(now),
+            Some(fault) => !is_replayed(&fault) || self.reaches_back(&fault),
+            // Overwritten, or not written yet.
+            None => self.events.begin_after(now) || now.before_end_s * 1e3 < f64::from(EVENT_MS),
         };
         is_outside.then_some(fault)
+    }
+
+    /// Whether a fault may depend on what was before the recording, or is not in it: commanded and measured motion are
+    /// compared since the drives got power, in torque mode in the digits of a kind of drive that is not recorded; late
+    /// telegrams are counted in seconds whose beginning is not recorded.
+    fn reaches_back(&self, fault: &Fault) -> bool {
+        match *fault {
+            Fault::CyclesLate { .. } => true,
+            Fault::FeedbackDeviation { axis, .. } | Fault::FeedbackNoise { axis, .. } => {
+                let settings = self.config.axes.get(usize::from(axis));
+                !self.begins_without_power || settings.is_some_and(|axis| axis.mode == AxisMode::Torque)
+            }
+            _ => false,
+        }
     }
 
     /// What differs between a sample and the replay.
@@ -136,7 +155,9 @@ impl<'a> Comparison<'a> {
                 ((replayed - recorded) / turn_rad).round()
             };
             self.turns_rad[axis] = turns * turn_rad;
-            if (replayed - self.turns_rad[axis] - recorded).abs() > self.rounding_rad(axis, replayed) {
+            let is_close = (replayed - self.turns_rad[axis] - recorded).abs() <= self.rounding_rad(axis, replayed);
+            // Not a number is a difference, too.
+            if !is_close {
                 return words(&format!("angle of axis {}, rad", axis + 1), &recorded, &replayed);
             }
         }
@@ -147,11 +168,13 @@ impl<'a> Comparison<'a> {
             return words("standstill", &now.standstill, &report.standstill);
         }
         if self.knows_fault && report.fault.is_some() != now.fault {
-            let recorded = now.fault.then(|| self.events.fault_at(now));
-            return words("fault", &recorded, &report.fault);
+            return match (now.fault, self.events.fault_at(now)) {
+                (true, None) => words("fault", &"one whose event is missing", &report.fault),
+                (_, recorded) => words("fault", &recorded, &report.fault),
+            };
         }
         let recorded = self.events.fault_at(now);
-        let recorded = recorded.filter(|fault| is_new_fault && is_of_the_sampler(fault));
+        let recorded = recorded.filter(|fault| is_new_fault && is_the_samplers(fault) && !self.reaches_back(fault));
         match (recorded, report.fault) {
             (Some(recorded), Some(replayed)) if !is_alike(&recorded, &replayed) => words("fault", &recorded, &replayed),
             _ => None,
@@ -171,8 +194,16 @@ impl<'a> Comparison<'a> {
     }
 }
 
-/// Whether the sampler alone comes to a fault. Another one that came first hides the sampler's.
-fn is_of_the_sampler(fault: &Fault) -> bool {
+/// Whether the sampler comes to a fault by what is in the samples. Any other one hides the sampler's.
+fn is_replayed(fault: &Fault) -> bool {
+    matches!(
+        fault,
+        Fault::Drive { .. } | Fault::SlaveLost { .. } | Fault::ReferenceLost { .. }
+    ) || is_the_samplers(fault)
+}
+
+/// Whether no other task comes to a fault.
+fn is_the_samplers(fault: &Fault) -> bool {
     matches!(
         fault,
         Fault::EmergencyStop(StopSource::Input)

@@ -19,13 +19,22 @@ impl Events<'_> {
         last.map(|entry| entry.t_ms)
     }
 
-    /// Whether a command was given in the milliseconds from `from_ms` on, and not refused.
-    pub(super) fn was_accepted(self, from_ms: u32, milliseconds: u32, is_meant: impl Fn(&Command) -> bool) -> bool {
-        self.0.iter().enumerate().any(|(index, entry)| {
+    /// The last command that was given in the milliseconds from `from_ms` on, and not refused.
+    pub(super) fn accepted(
+        self,
+        from_ms: u32,
+        milliseconds: u32,
+        is_meant: impl Fn(&Command) -> bool,
+    ) -> Option<Command> {
+        let numbered = self.0.iter().enumerate().rev();
+        let mut then = numbered.filter(|(_, entry)| entry.t_ms.wrapping_sub(from_ms) < milliseconds);
+        then.find_map(|(index, entry)| {
             let next = self.0.get(index + 1).and_then(|next| next.event);
-            let is_refused = matches!(next, Some(Event::Refused(_)));
-            let is_then = entry.t_ms.wrapping_sub(from_ms) < milliseconds;
-            is_then && !is_refused && matches!(&entry.event, Some(Event::Command(command)) if is_meant(command))
+            match (&entry.event, next) {
+                (_, Some(Event::Refused(_))) => None,
+                (Some(Event::Command(command)), _) if is_meant(command) => Some(*command),
+                _ => None,
+            }
         })
     }
 

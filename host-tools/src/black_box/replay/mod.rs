@@ -1,10 +1,11 @@
 //! Replays a recording: the controller's own sampler gets the recorded inputs in virtual time, millisecond by
 //! millisecond, and has to come to the recorded results.
 //!
-//! Inputs are positions, status words, setpoints, late telegrams, the emergency-stop input, and the orders that follow
-//! from the samples (power, home, acknowledgement). Results are angles, home, standstill, and above all the latched
-//! fault with its millisecond. What the sampler does not decide, or what no sample holds, is not replayed: a stop by
-//! command, the state of a slave, the bus clock.
+//! Inputs are the encoder positions (from angles and increments), which axes answered, status words, setpoints, late
+//! telegrams and the board's inputs, and orders: power, home and acknowledgement by their events, the beginning and end
+//! of following by the samples. Results are standstill, home, and above all the latched fault with its millisecond; the
+//! angles show that positions and home were taken rightly. What the sampler does not decide, or what no sample holds, is
+//! not replayed: a stop by command, the state of a slave, the bus clock.
 //!
 //! Invariant: no recording makes this module panic.
 
@@ -35,7 +36,7 @@ const SLOW_RAD_S: f32 = 0.03;
 /// Result of a replay.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Replay {
-    /// The controller's time of the first millisecond that was replayed, ms.
+    /// The controller's time of the first millisecond that was compared, ms.
     pub from_ms: u32,
     /// Number of milliseconds in which recording and replay agree.
     pub agreed_ms: u32,
@@ -52,11 +53,11 @@ pub struct Replay {
 pub struct Latched {
     /// Time before the end of the recording, s.
     pub before_end_s: f64,
-    /// The fault; `None` if its event has been overwritten.
+    /// The recorded fault; `None` if its event is missing, or another task's fault came first.
     pub fault: Option<Fault>,
 }
 
-/// A result of the replay that was not recorded.
+/// The first result in which recording and replay differ.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Difference {
     /// Time before the end of the recording, s.

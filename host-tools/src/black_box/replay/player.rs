@@ -69,7 +69,7 @@ impl<'a, 'q> Player<'a, 'q> {
             self.control.step(&now);
         }
         if first.homed == [true; AXES] {
-            self.home(first);
+            self.home(Some(pose_of(first)));
         }
         if first.following {
             self.control.order(SamplerCommand::Power(Power::On));
@@ -80,18 +80,19 @@ impl<'a, 'q> Player<'a, 'q> {
     /// Plays all samples, or up to the first one with another result.
     pub(super) fn play(mut self) -> Replay {
         let mut replay = Replay {
-            from_ms: self.samples.first().map_or(0, |first| first.t_ms),
+            from_ms: self.samples.get(SETTLED_MS).map_or(0, |first| first.t_ms),
             agreed_ms: 0,
             faults: Vec::new(),
             difference: None,
             not_recorded: None,
         };
         for (index, now) in self.samples.iter().enumerate() {
-            let (finding, fault) = self.millisecond(index, now);
+            let finding = self.millisecond(index, now);
             let before_end_s = now.before_end_s;
             match finding {
                 Finding::Agreed { latched } => {
-                    replay.faults.extend(latched.then_some(Latched { before_end_s, fault }));
+                    let latched = latched.map(|fault| Latched { before_end_s, fault });
+                    replay.faults.extend(latched);
                 }
                 Finding::NotRecorded(fault) => {
                     replay.not_recorded = Some(Latched { before_end_s, fault });
@@ -102,13 +103,13 @@ impl<'a, 'q> Player<'a, 'q> {
                     break;
                 }
             }
-            replay.agreed_ms += 1;
+            replay.agreed_ms += u32::from(index >= SETTLED_MS);
         }
         replay
     }
 
-    /// Plays one sample; returns what it has shown and the fault that is latched.
-    fn millisecond(&mut self, index: usize, now: &SampleEntry) -> (Finding, Option<Fault>) {
+    /// Plays one sample; returns what it has shown.
+    fn millisecond(&mut self, index: usize, now: &SampleEntry) -> Finding {
         let before = index.checked_sub(1).and_then(|before| self.samples.get(before));
         if let Some(before) = before {
             self.give_orders(index, before, now);
@@ -125,7 +126,7 @@ impl<'a, 'q> Player<'a, 'q> {
             // The controllers knew nothing of the motion before.
             self.control.order(SamplerCommand::ClearFault);
         }
-        (self.comparison.step(index, now, &report), report.fault)
+        self.comparison.step(index, now, &report)
     }
 
     /// What the drives report in a sample.
@@ -144,31 +145,43 @@ impl<'a, 'q> Player<'a, 'q> {
         })
     }
 
-    /// The orders that lead from one sample to the next.
+    /// The orders that lead from one sample to the next. An order without its event is none, unless the events of that
+    /// time have been overwritten.
     fn give_orders(&mut self, index: usize, before: &SampleEntry, now: &SampleEntry) {
-        if before.fault && !now.fault {
+        let is_overwritten = self.events.begin_after(now);
+        let recent_ms = now.t_ms.wrapping_sub(EVENT_MS);
+        let acknowledged = self.events.accepted(recent_ms, 2 * EVENT_MS, is_acknowledge).is_some()
+            || self.events.happened(recent_ms, 2 * EVENT_MS, &Event::Fault(None));
+        if before.fault && !now.fault && (acknowledged || is_overwritten) {
             self.control.order(SamplerCommand::Power(Power::Off));
             self.control.order(SamplerCommand::ClearFault);
         }
-        let ends = before.following && !now.following;
-        let recent_ms = now.t_ms.wrapping_sub(EVENT_MS);
         self.configure_again(index, before, now);
-        let homes_again = ends && self.events.was_accepted(recent_ms, EVENT_MS, is_home);
-        if homes_again || before.homed != [true; AXES] && now.homed == [true; AXES] {
-            self.home(now);
+        let ends = before.following && !now.following;
+        let becomes_homed = before.homed != [true; AXES] && now.homed == [true; AXES];
+        // The sampler takes an order in the millisecond after it; what it shows may come later.
+        let home = match ends || becomes_homed {
+            true => self.events.accepted(recent_ms, EVENT_MS, is_home),
+            false => self.events.accepted(before.t_ms, 1, is_home),
+        };
+        match home {
+            Some(Command::HomeAt { pose, .. }) => self.home(Some(pose)),
+            Some(_) => self.home(None),
+            None if becomes_homed && is_overwritten => self.home(Some(pose_of(now))),
+            None => {}
         }
         // The setpoints come some milliseconds after the power.
-        if now.following && !before.following || self.events.was_accepted(before.t_ms, 1, is_enable) {
+        let enabled = self.events.accepted(before.t_ms, 1, is_enable).is_some();
+        if now.following && !before.following || enabled {
             self.control.order(SamplerCommand::Power(Power::On));
         }
         if now.following && !before.following {
             self.queued = index;
             self.follow();
         }
-        // The sampler takes an order in the millisecond after it.
         let ordered_ms = before.t_ms.wrapping_sub(1);
         let stops = self.events.happened(ordered_ms, 2, &Event::Mode(Mode::Stopping));
-        if ends && (stops || !homes_again) && !self.runs_dry(index) {
+        if ends && (stops || home.is_none()) && !self.runs_dry(index) {
             self.control.order(SamplerCommand::Power(Power::QuickStop));
         }
     }
@@ -187,8 +200,7 @@ impl<'a, 'q> Player<'a, 'q> {
         }
     }
 
-    fn home(&mut self, sample: &SampleEntry) {
-        let near = Some(JointAngles(sample.measured_rad.map(f64::from)));
+    fn home(&mut self, near: Option<JointAngles>) {
         self.control.order(SamplerCommand::Home { near });
     }
 
@@ -257,6 +269,15 @@ fn is_enable(command: &Command) -> bool {
     *command == Command::Enable
 }
 
+fn is_acknowledge(command: &Command) -> bool {
+    *command == Command::Acknowledge
+}
+
 fn is_home(command: &Command) -> bool {
     matches!(command, Command::Home | Command::HomeAt { .. })
+}
+
+/// The joint angles of a sample.
+fn pose_of(sample: &SampleEntry) -> JointAngles {
+    JointAngles(sample.measured_rad.map(f64::from))
 }
