@@ -138,7 +138,7 @@ fn a_recording_replays_to_the_same_millisecond_and_another_one_does_not() {
     assert_eq!(status, Some(0));
     let printed: serde_json::Value = serde_json::from_str(&stdout).expect("JSON");
     assert_eq!(printed["replay"]["faults"][0]["fault"]["EmergencyStop"], "Input");
-    assert!(printed["replay"]["agreed_ms"].as_u64() > Some(1_400), "{stdout}");
+    assert!(printed["replay"]["agreed_ms"].as_u64() > Some(500), "{stdout}");
     assert!(printed["replay"]["difference"].is_null() && printed["replay"]["not_recorded"].is_null());
 
     // A measurement that would be older, and a limit that the error would then exceed.

@@ -12,6 +12,8 @@ use std::fmt::Debug;
 
 /// For an axis that has not had a position yet.
 const NEVER: u16 = u16::MAX;
+/// A value up to this share of its limit exceeds it by what rounding may decide.
+const LIMIT_SHARE: f32 = 1.002;
 /// Relative rounding of a number in single precision.
 const ROUNDING: f64 = 1.2e-7;
 
@@ -116,10 +118,25 @@ impl<'a> Comparison<'a> {
 
     /// Whether a fault may depend on what was before the recording, or is not in it: commanded and measured motion are
     /// compared since the drives got power, in torque mode in the digits of a kind of drive that is not recorded; late
-    /// telegrams are counted in seconds whose beginning is not recorded.
+    /// telegrams are counted in seconds whose beginning is not recorded; a value just above its limit depends on rounding.
     fn reaches_back(&self, fault: &Fault) -> bool {
+        // Setpoints are recorded rounded.
+        let is_at_limit = |value: f32, limit: f32| value.abs() < LIMIT_SHARE * limit;
         match *fault {
             Fault::CyclesLate { .. } => true,
+            Fault::FollowingError {
+                error_rad, limit_rad, ..
+            } => is_at_limit(error_rad, limit_rad),
+            Fault::OutputLimit {
+                output_rad_s,
+                limit_rad_s,
+                ..
+            } => is_at_limit(output_rad_s, limit_rad_s),
+            Fault::FeedbackDeviation {
+                deviation_rad,
+                limit_rad,
+                ..
+            } if is_at_limit(deviation_rad, limit_rad) => true,
             Fault::FeedbackDeviation { axis, .. } | Fault::FeedbackNoise { axis, .. } => {
                 let settings = self.config.axes.get(usize::from(axis));
                 !self.begins_without_power || settings.is_some_and(|axis| axis.mode == AxisMode::Torque)
