@@ -30,8 +30,9 @@ const CONFIGURED_MS: u32 = 10;
 /// Time until controllers and supervision have forgotten what was before the recording, ms.
 const SETTLED_MS: usize = 25;
 
-/// Speed from which a replay may begin in motion, rad/s: in the lag of a drive it makes a tenth of a milliradian.
-const SLOW_RAD_S: f32 = 0.03;
+/// Speed up to which a replay may begin in motion, rad/s: in the lag of a drive, 3 ms, it makes a milliradian, an eighth
+/// of the usual limit of the feedback's deviation.
+const SLOW_RAD_S: f32 = 0.3;
 
 /// Result of a replay.
 #[derive(Clone, Debug, PartialEq, Serialize)]
