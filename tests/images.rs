@@ -10,7 +10,7 @@ use std::collections::BTreeSet;
 use std::ops::Range;
 
 /// Most flash memory of an image, bytes.
-const FLASH_BYTES_MAX: u32 = 512 * 1024;
+const FLASH_BYTES_MAX: u32 = 1024 * 1024;
 /// Most static memory, bytes, without the black box.
 const STATIC_BYTES_MAX: u32 = 256 * 1024;
 /// Most tightly coupled data memory, stacks included, bytes.
