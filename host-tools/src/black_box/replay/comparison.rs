@@ -13,7 +13,7 @@ use std::fmt::Debug;
 /// For an axis that has not had a position yet.
 const NEVER: u16 = u16::MAX;
 /// A value up to this share of its limit exceeds it by what rounding may decide.
-const LIMIT_SHARE: f32 = 1.002;
+const LIMIT_SHARE: f32 = 1.01;
 /// Relative rounding of a number in single precision.
 const ROUNDING: f64 = 1.2e-7;
 
@@ -42,6 +42,8 @@ pub(super) struct Comparison<'a> {
     turns_rad: [f64; AXES],
     /// Milliseconds since each axis's last position, or [`NEVER`].
     blind_ms: [u16; AXES],
+    /// Milliseconds since each axis's first position.
+    seen_ms: [u16; AXES],
 }
 
 impl<'a> Comparison<'a> {
@@ -59,6 +61,7 @@ impl<'a> Comparison<'a> {
             was_latched: false,
             turns_rad: [0.0; AXES],
             blind_ms: [NEVER; AXES],
+            seen_ms: [0; AXES],
         }
     }
 
@@ -75,8 +78,12 @@ impl<'a> Comparison<'a> {
     /// Compares a millisecond, the `index`th of the replay. Until the controllers have forgotten what was before, only
     /// their state is followed.
     pub(super) fn step(&mut self, index: usize, now: &SampleEntry, report: &CycleReport) -> Finding {
-        for (ms, valid) in self.blind_ms.iter_mut().zip(now.valid) {
-            *ms = if valid { 0 } else { ms.saturating_add(1) };
+        for ((blind_ms, seen_ms), valid) in self.blind_ms.iter_mut().zip(&mut self.seen_ms).zip(now.valid) {
+            *blind_ms = if valid { 0 } else { blind_ms.saturating_add(1) };
+            *seen_ms = match *blind_ms {
+                NEVER => 0,
+                _ => seen_ms.saturating_add(1),
+            };
         }
         let is_new = self.knows_fault && !self.was_latched;
         let not_recorded = self.not_recorded(now, report);
@@ -104,10 +111,17 @@ impl<'a> Comparison<'a> {
 
     /// A fault of the recording or of the replay whose cause is not in the samples, or not all of it.
     fn not_recorded(&self, now: &SampleEntry, report: &CycleReport) -> Option<Option<Fault>> {
+        let fault = report.fault.or_else(|| self.events.fault_at(now));
+        // An axis loses its home to an implausible feedback, which is compared with the commands, even while another
+        // axis has the fault.
+        let is_close = report.fault.is_some_and(|fault| self.reaches_back(&fault));
+        let differs = |axis: usize| now.homed[axis] != report.homed[axis];
+        if (0..AXES).any(|axis| differs(axis) && (is_close || self.compares_since_before(axis))) {
+            return Some(fault);
+        }
         if !self.knows_fault || now.fault == report.fault.is_some() {
             return None;
         }
-        let fault = report.fault.or_else(|| self.events.fault_at(now));
         let is_outside = match fault {
             Some(fault) => !is_replayed(&fault) || self.reaches_back(&fault),
             // Overwritten, or not written yet.
@@ -138,11 +152,17 @@ impl<'a> Comparison<'a> {
                 ..
             } if is_at_limit(deviation_rad, limit_rad) => true,
             Fault::FeedbackDeviation { axis, .. } | Fault::FeedbackNoise { axis, .. } => {
-                let settings = self.config.axes.get(usize::from(axis));
-                !self.begins_without_power || settings.is_some_and(|axis| axis.mode == AxisMode::Torque)
+                self.compares_since_before(usize::from(axis))
             }
             _ => false,
         }
+    }
+
+    /// Whether an axis's commanded and measured motion are compared since before the recording, or in digits that are
+    /// not recorded.
+    fn compares_since_before(&self, axis: usize) -> bool {
+        let settings = self.config.axes.get(axis);
+        !self.begins_without_power || settings.is_some_and(|axis| axis.mode == AxisMode::Torque)
     }
 
     /// What differs between a sample and the replay.
@@ -181,7 +201,9 @@ impl<'a> Comparison<'a> {
         if report.following != now.following {
             return words("following", &now.following, &report.following);
         }
-        if report.standstill != now.standstill && index > SETTLED_MS + usize::from(STANDSTILL_MS) {
+        // By how much an axis moved before its first position is not recorded.
+        let is_known = self.seen_ms.iter().all(|ms| *ms == 0 || *ms > STANDSTILL_MS);
+        if report.standstill != now.standstill && is_known && index > SETTLED_MS + usize::from(STANDSTILL_MS) {
             return words("standstill", &now.standstill, &report.standstill);
         }
         if self.knows_fault && report.fault.is_some() != now.fault {
