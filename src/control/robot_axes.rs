@@ -33,6 +33,9 @@ pub const GAP_AT_REST_MAX_MS: u32 = 500;
 const RAMP_COMPARED_MS: u8 = 10;
 /// Speed above which a change of the position is a jump of the feedback, as a part of the greatest speed.
 const JUMP_SPEED: f64 = 1.5;
+/// Acceleration above which a change of the position is a jump of the feedback, rad/s2 at the joint: no drive's ramp and
+/// no hand reaches it. After a gap it tells a jump from a motion, which the speed alone cannot.
+const JUMP_RAD_S2: f64 = 1_000.0;
 /// Motor speed below which an axis is at rest, revolutions a second.
 const REST_REVOLUTIONS_S: f64 = 0.05;
 
@@ -103,6 +106,8 @@ struct AxisState {
     ramp_digits: i32,
     /// Largest change of the position in a millisecond, increments.
     jump_increments: u32,
+    /// Change of that in a millisecond above which it is one.
+    jump_increments_ms2: u32,
     implausible: Option<Implausible>,
 }
 
@@ -130,6 +135,7 @@ impl AxisState {
             sent: 0,
             compared_ms: 0,
             ramp_digits: 0,
+            jump_increments_ms2: (JUMP_RAD_S2 * axis.gear.abs() * f64::from(increments) / TAU / 1e6) as u32 + 1,
             jump_increments: (JUMP_SPEED * axis.output_max_rad_s.abs() * axis.gear.abs() * f64::from(increments)
                 / TAU
                 / 1_000.0) as u32,
@@ -164,9 +170,9 @@ impl AxisState {
             let difference = turned(input.position.wrapping_sub(self.raw), self.increments_per_revolution);
             self.position += i64::from(difference);
             let cycles = self.gap_ms.min(GAP_AT_REST_MAX_MS) as i32 + 1;
-            self.step = difference / cycles;
+            let before = core::mem::replace(&mut self.step, difference / cycles);
             if self.compared_ms == 0 {
-                self.look_for_jump();
+                self.look_for_jump(difference, before, cycles);
             } else if !self.feedback.step(self.sent, difference) {
                 self.reject_feedback();
             }
@@ -204,11 +210,16 @@ impl AxisState {
         self.lose_home();
     }
 
-    /// The axis is no longer homed after a jump: a joint without power may be moved by hand, but not faster than its motor can
-    /// move.
+    /// The axis is no longer homed after a jump: a joint without power may be moved by hand, but not faster than its motor
+    /// can move, nor get there at once. `before` is the step a millisecond before the last `cycles` milliseconds.
     #[cold]
-    fn look_for_jump(&mut self) {
-        if self.step.unsigned_abs() > self.jump_increments {
+    fn look_for_jump(&mut self, difference: i32, before: i32, cycles: i32) {
+        let (ms, off) = (
+            i64::from(cycles),
+            i64::from(difference) - i64::from(before) * i64::from(cycles),
+        );
+        let reachable = i64::from(self.jump_increments_ms2) * ms * ms;
+        if self.step.unsigned_abs() > self.jump_increments || off.abs() > reachable {
             self.lose_home();
         }
     }

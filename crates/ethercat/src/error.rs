@@ -167,6 +167,13 @@ pub enum BusError {
         /// Time waited, ms.
         waited_ms: u32,
     },
+    /// The slave answers, but its processor does not read the requests for a state: it may be starting up.
+    RequestUnread {
+        /// AL state requested, with the acknowledge bit.
+        requested: u8,
+        /// Time waited, ms.
+        waited_ms: u32,
+    },
     /// The chain has more slaves than the master supports.
     TooManySlaves {
         /// Most slaves supported.

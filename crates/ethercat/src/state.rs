@@ -3,16 +3,28 @@
 //! On the way up, only one step is requested at a time. A slave may answer with another state and the error flag; the
 //! AL status code gives the reason. Numbers: IEC 61158-6-12, AL status codes; texts and hints are this project's.
 //!
+//! A slave with device emulation has no processor: it copies the request to its status at once, the acknowledge bit
+//! with it. An error flag with code 0 is such an echo; a request without the bit removes it.
+//!
+//! A slave whose processor is starting up answers, but does not read the request: until it does, a further one is not
+//! executed (working counter 0). The master waits for it.
+//!
 //! Invariant: a change either ends in the requested state without error flag, or is an error with state and code.
 
-use super::acyclic::{AcyclicPort, Request};
+use super::acyclic::{AcyclicPort, Outcome, Request};
 use super::error::BusError;
 use super::wire::{Address, Command, register};
 
-/// Longest wait for a state, ms: the standard's default timeout.
-pub const STATE_TIMEOUT_MS: u32 = 3_000;
-/// Longest wait for OP, ms.
+/// Longest wait for INIT, ms. These waits are the usual ones of EtherCAT network information (ENI) files.
+pub const INIT_TIMEOUT_MS: u32 = 5_000;
+/// Longest wait for PREOP, ms.
+pub const PRE_OPERATIONAL_TIMEOUT_MS: u32 = 3_000;
+/// Longest wait for SAFEOP and for OP, ms.
 pub const OPERATIONAL_TIMEOUT_MS: u32 = 10_000;
+/// Longest wait for a slave's processor to read a request before the caller is told, ms.
+pub const READ_TIMEOUT_MS: u32 = 3_000;
+/// Reads without an answer after which a slave counts as absent.
+const ABSENT_TRIES_MAX: u8 = 8;
 /// Longest wait for an error flag to clear after it was acknowledged, ms.
 pub const ACKNOWLEDGE_TIMEOUT_MS: u32 = 500;
 
@@ -44,6 +56,15 @@ impl AlState {
             8 => Self::Operational,
             _ => return None,
         })
+    }
+
+    /// Longest wait for this state, ms.
+    const fn timeout_ms(self) -> u32 {
+        match self {
+            Self::Init => INIT_TIMEOUT_MS,
+            Self::PreOperational | Self::Bootstrap => PRE_OPERATIONAL_TIMEOUT_MS,
+            Self::SafeOperational | Self::Operational => OPERATIONAL_TIMEOUT_MS,
+        }
     }
 
     /// Common name of the state.
@@ -81,9 +102,14 @@ impl AlReport {
         }
     }
 
-    /// Whether the error flag is set.
-    pub const fn is_error(&self) -> bool {
+    /// Whether the error flag is set, be it the echo of an acknowledgement.
+    pub const fn is_flagged(&self) -> bool {
         self.status as u16 & register::AL_ERROR_BIT != 0
+    }
+
+    /// Whether the slave reports an error.
+    pub const fn is_error(&self) -> bool {
+        self.is_flagged() && self.code != 0
     }
 
     /// The state without the error flag.
@@ -91,7 +117,7 @@ impl AlReport {
         AlState::from_status(self.status as u16)
     }
 
-    /// Whether the slave is in `state` without an error.
+    /// Whether the slave is in `state` without an error flag.
     pub fn is(&self, state: AlState) -> bool {
         self.status == state as u8
     }
@@ -109,30 +135,72 @@ pub async fn report<const MESSAGE: usize>(
     Ok(AlReport::parse(&bytes))
 }
 
-/// Acknowledges a pending error: requests the present state with the acknowledge bit.
+/// Writes a request to AL control, and reads the state in the same frame. While the slave's processor has not read the
+/// request before, it is repeated.
+async fn request<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    control: u16,
+) -> Result<AlReport, BusError> {
+    let address = |register| Address::station(station, register);
+    let requests = [
+        Request::write(Command::Fpwr, address(register::AL_CONTROL), &control.to_le_bytes()),
+        Request::read(Command::Fprd, address(register::AL_STATUS), AlReport::LEN),
+    ];
+    let (started_ms, mut absent) = (port.now_ms(), 0);
+    loop {
+        let (mut outcomes, mut now) = ([Outcome::Lost; 2], AlReport::default());
+        let mut replies = outcomes.iter_mut();
+        port.transact_all(requests.iter(), |reply| {
+            now = AlReport::parse(&reply.data);
+            if let Some(outcome) = replies.next() {
+                *outcome = reply.outcome;
+            }
+        })
+        .await;
+        let [written, read] = outcomes.map(|outcome| outcome == Outcome::Processed { working_counter: 1 });
+        if written && read {
+            return Ok(now);
+        }
+        absent = if read { 0 } else { absent + 1 };
+        if absent >= ABSENT_TRIES_MAX {
+            report(port, station).await?;
+            absent = 0;
+        }
+        let waited_ms = port.now_ms().wrapping_sub(started_ms);
+        if waited_ms > READ_TIMEOUT_MS {
+            return Err(BusError::RequestUnread {
+                requested: control as u8,
+                waited_ms,
+            });
+        }
+    }
+}
+
+/// Acknowledges a pending error: requests the present state with the acknowledge bit. An echo of an earlier
+/// acknowledgement is removed.
 ///
 /// # Errors
-/// [`BusError::State`] when the flag stays, or as [`AcyclicPort::send_until_counted`].
+/// [`BusError::State`] when the flag stays, [`BusError::RequestUnread`], or as [`AcyclicPort::send_until_counted`].
 pub async fn acknowledge<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
 ) -> Result<AlReport, BusError> {
     let before = report(port, station).await?;
-    if !before.is_error() {
-        return Ok(before);
+    let state = u16::from(before.status) & register::AL_STATE_MASK;
+    if !before.is_flagged() || !before.is_error() && !request(port, station, state).await?.is_flagged() {
+        return report(port, station).await;
     }
-    port.write(station, register::AL_CONTROL, &u16::from(before.status).to_le_bytes())
-        .await?;
+    request(port, station, state | register::AL_ERROR_BIT).await?;
     let started_ms = port.now_ms();
     loop {
         let now = report(port, station).await?;
-        if !now.is_error() {
+        if !now.is_flagged() {
             return Ok(now);
         }
         if port.now_ms().wrapping_sub(started_ms) > ACKNOWLEDGE_TIMEOUT_MS {
-            let expected = before.status & register::AL_STATE_MASK as u8;
             return Err(BusError::State {
-                expected,
+                expected: state as u8,
                 actual: now.status,
                 code: now.code,
             });
@@ -145,58 +213,47 @@ pub async fn acknowledge<const MESSAGE: usize>(
 /// On the way up, `target` has to be the next state.
 ///
 /// # Errors
-/// [`BusError::State`] when the slave refuses, [`BusError::StateTimeout`] when it does not reach the state, or as
-/// [`AcyclicPort::send_until_counted`].
+/// [`BusError::State`] when the slave refuses, [`BusError::StateTimeout`] when it does not reach the state,
+/// [`BusError::RequestUnread`] when its processor does not read the request, or as [`AcyclicPort::send_until_counted`].
 pub async fn change<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
     target: AlState,
 ) -> Result<(), BusError> {
-    let control = if target == AlState::Init {
-        // INIT clears errors that an acknowledgement alone does not clear.
-        AlState::Init as u16 | register::AL_ERROR_BIT
-    } else {
+    let control = if target != AlState::Init {
         acknowledge(port, station).await?;
         target as u16
-    };
-    let address = |register| Address::station(station, register);
-    let requests = [
-        Request::write(Command::Fpwr, address(register::AL_CONTROL), &control.to_le_bytes()),
-        Request::read(Command::Fprd, address(register::AL_STATUS), AlReport::LEN),
-    ];
-    let mut now = AlReport::default();
-    let take = |number, bytes: &[u8]| {
-        if number == 1 {
-            now = AlReport::parse(bytes);
-        }
-    };
-    let started_ms = port.now_ms();
-    port.send_all_until_counted(&requests, 1, take).await?;
-    let timeout_ms = if target == AlState::Operational {
-        OPERATIONAL_TIMEOUT_MS
+    } else if report(port, station).await?.is_flagged() {
+        // INIT clears errors that an acknowledgement alone does not clear.
+        target as u16 | register::AL_ERROR_BIT
     } else {
-        STATE_TIMEOUT_MS
+        target as u16
     };
+    let mut now = request(port, station, control).await?;
+    let started_ms = port.now_ms();
     loop {
         if now.is(target) {
             return Ok(());
         }
-        if now.is_error() && target != AlState::Init {
+        if now.state() == Some(target) && !now.is_error() {
+            now = request(port, station, target as u16).await?;
+        } else if now.is_flagged() && target != AlState::Init {
             return Err(BusError::State {
                 expected: target as u8,
                 actual: now.status,
                 code: now.code,
             });
+        } else {
+            now = report(port, station).await?;
         }
         let waited_ms = port.now_ms().wrapping_sub(started_ms);
-        if waited_ms > timeout_ms {
+        if waited_ms > target.timeout_ms() && !now.is(target) {
             return Err(BusError::StateTimeout {
                 expected: target as u8,
                 actual: now.status,
                 waited_ms,
             });
         }
-        now = report(port, station).await?;
     }
 }
 
@@ -286,10 +343,20 @@ mod tests {
     use heapless::spsc::Queue;
     use std::vec::Vec;
 
-    /// A slave that drops its error flag when it is acknowledged, unless it is stubborn.
+    /// How a slave takes an acknowledgement.
+    #[derive(Clone, Copy, PartialEq, Eq)]
+    enum Nature {
+        /// It drops its error flag.
+        Obedient,
+        /// It keeps its error flag.
+        Stubborn,
+        /// Device emulation: it copies what it gets.
+        Emulated,
+    }
+
     struct Slave {
         status: u16,
-        stubborn: bool,
+        nature: Nature,
         /// What was written to AL control.
         written: Vec<u16>,
     }
@@ -298,12 +365,20 @@ mod tests {
         fn answer(&mut self, request: &Request) -> Reply<REGISTER_BYTES_MAX> {
             let mut data = request.data.clone();
             match (request.command, request.address.register()) {
-                (Command::Fprd, register::AL_STATUS) => write_bytes(&mut data, 0, &self.status.to_le_bytes()),
+                (Command::Fprd, register::AL_STATUS) => {
+                    let is_error = self.status & register::AL_ERROR_BIT != 0 && self.nature != Nature::Emulated;
+                    write_bytes(&mut data, 0, &self.status.to_le_bytes());
+                    write_bytes(&mut data, 4, &[if is_error { 0x1B } else { 0 }, 0]);
+                }
                 (Command::Fpwr, register::AL_CONTROL) => {
                     let wanted = read_u16(&data, 0);
                     self.written.push(wanted);
-                    if wanted & register::AL_ERROR_BIT != 0 && !self.stubborn {
-                        self.status = wanted & register::AL_STATE_MASK;
+                    match self.nature {
+                        Nature::Obedient if wanted & register::AL_ERROR_BIT != 0 => {
+                            self.status = wanted & register::AL_STATE_MASK;
+                        }
+                        Nature::Emulated => self.status = wanted,
+                        _ => {}
                     }
                 }
                 other => panic!("{other:?}"),
@@ -318,12 +393,12 @@ mod tests {
     /// Does something with a slave in a state; returns the result and what was written to the slave.
     fn with_slave<T>(
         status: u16,
-        stubborn: bool,
+        nature: Nature,
         work: impl AsyncFnOnce(&mut AcyclicPort<'_, 32>) -> T,
     ) -> (T, Vec<u16>) {
         let mut slave = Slave {
             status,
-            stubborn,
+            nature,
             written: Vec::new(),
         };
         let mut requests = Queue::<Request, { IN_FLIGHT_MAX + 1 }>::new();
@@ -345,15 +420,15 @@ mod tests {
         panic!("no end");
     }
 
-    fn acknowledged(status: u16, stubborn: bool) -> (Result<AlReport, BusError>, Vec<u16>) {
-        with_slave(status, stubborn, async |port| acknowledge(port, 0x1001).await)
+    fn acknowledged(status: u16, nature: Nature) -> (Result<AlReport, BusError>, Vec<u16>) {
+        with_slave(status, nature, async |port| acknowledge(port, 0x1001).await)
     }
 
     #[test]
     fn an_error_is_acknowledged_in_the_state_that_it_left_and_nothing_is_written_without_one() {
         let report = |status| Ok(AlReport { status, code: 0 });
-        assert_eq!(acknowledged(0x14, false), (report(0x04), std::vec![0x14]));
-        assert_eq!(acknowledged(0x08, false), (report(0x08), Vec::new()));
+        assert_eq!(acknowledged(0x14, Nature::Obedient), (report(0x04), std::vec![0x14]));
+        assert_eq!(acknowledged(0x08, Nature::Obedient), (report(0x08), Vec::new()));
     }
 
     #[test]
@@ -361,15 +436,40 @@ mod tests {
         let expected = BusError::State {
             expected: 4,
             actual: 0x14,
-            code: 0,
+            code: 0x1B,
         };
-        assert_eq!(acknowledged(0x14, true), (Err(expected), std::vec![0x14]));
+        assert_eq!(acknowledged(0x14, Nature::Stubborn), (Err(expected), std::vec![0x14]));
     }
 
     #[test]
-    fn a_slave_has_three_seconds_for_a_state_and_ten_for_op() {
-        for (status, target, limit_ms) in [(1, AlState::PreOperational, 3_000), (4, AlState::Operational, 10_000)] {
-            let (result, written) = with_slave(status, false, async |port| change(port, 0x1001, target).await);
+    fn an_echo_of_the_acknowledgement_is_removed_and_not_repeated() {
+        let report = |status| Ok(AlReport { status, code: 0 });
+        assert_eq!(acknowledged(0x14, Nature::Emulated), (report(0x04), std::vec![4]));
+        for (status, target) in [
+            (0x11, AlState::PreOperational),
+            (0x18, AlState::Init),
+            (8, AlState::Init),
+        ] {
+            let (result, written) = with_slave(status, Nature::Emulated, async |port| {
+                change(port, 0x1001, target).await
+            });
+            assert_eq!(result, Ok(()));
+            assert_eq!(written.last(), Some(&(target as u16)), "{written:x?}");
+        }
+    }
+
+    #[test]
+    fn each_state_has_its_own_time() {
+        let times = [
+            (1, AlState::PreOperational, 3_000),
+            (2, AlState::SafeOperational, 10_000),
+            (4, AlState::Operational, 10_000),
+            (8, AlState::Init, 5_000),
+        ];
+        for (status, target, limit_ms) in times {
+            let (result, written) = with_slave(status, Nature::Stubborn, async |port| {
+                change(port, 0x1001, target).await
+            });
             let Err(BusError::StateTimeout {
                 expected,
                 actual,

@@ -125,6 +125,33 @@ fn a_gap_loses_the_pose_after_8_ms_in_motion_and_after_half_a_second_at_rest() {
 }
 
 #[test]
+fn a_jump_of_the_feedback_loses_the_pose_also_after_a_gap_and_a_hand_does_not() {
+    // A third of a turn is within the motor's speed over a gap of 39 ms, but far beyond its acceleration over 5.
+    for gap_ms in [0, 5, 12] {
+        let mut robot = robot([0; AXES]);
+        robot.home(None).unwrap();
+        (0..gap_ms).for_each(|_| robot.axes[1].step(None, 0));
+        robot.axes[1].step(at(TURN / 3), 0);
+        assert!(!robot.is_homed(), "after {gap_ms} ms");
+    }
+    // A joint without power that is pushed to 2 rad/s within 50 ms, with every fourth position missing.
+    let mut robot = robot([0; AXES]);
+    robot.home(None).unwrap();
+    let increments_per_rad = 12.0 * f64::from(TURN) / TAU;
+    for ms in 0..400 {
+        let seconds = f64::from(ms) / 1e3;
+        let angle_rad = if ms < 50 {
+            20.0 * seconds * seconds
+        } else {
+            0.05 + 2.0 * (seconds - 0.05)
+        };
+        let input = at((angle_rad * increments_per_rad) as i32).filter(|_| ms % 4 > 0);
+        robot.axes[1].step(input, 0);
+        assert!(robot.is_homed(), "{ms} ms");
+    }
+}
+
+#[test]
 fn a_drive_that_was_configured_again_is_not_homed() {
     let mut robot = robot([0; AXES]);
     robot.home(None).unwrap();

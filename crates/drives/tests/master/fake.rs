@@ -28,6 +28,15 @@ pub(crate) struct FakeSlave {
     pub(crate) read_only: Vec<u16>,
     /// Only INIT clears the error flag.
     pub(crate) sticky_error: bool,
+    /// Whether it has no processor: it copies AL control to AL status.
+    pub(crate) emulated: bool,
+    /// Frames until its processor has started up and reads AL control.
+    pub(crate) boots: u32,
+    /// Whether its processor reads the SII on the way to PREOP.
+    pub(crate) reads_sii: bool,
+    /// Number of FMMUs; a write that reaches beyond them is refused.
+    pub(crate) fmmus: usize,
+    unread: Option<u8>,
     answers: Vec<Vec<u8>>,
     fetched: Vec<u8>,
     mailbox_counter: u8,
@@ -53,6 +62,11 @@ impl FakeSlave {
             mute: false,
             read_only: Vec::new(),
             sticky_error: false,
+            emulated: false,
+            boots: 0,
+            reads_sii: false,
+            fmmus: 16,
+            unread: None,
             answers: Vec::new(),
             fetched: Vec::new(),
             mailbox_counter: 0,
@@ -133,9 +147,20 @@ impl FakeSlave {
             self.mail(data);
             return true;
         }
-        write_bytes(&mut self.memory, usize::from(at), data);
+        let fmmus = register::FMMU..register::fmmu(16);
+        let end = usize::from(at) + data.len();
+        if fmmus.contains(&at) && end > usize::from(register::FMMU) + self.fmmus * register::FMMU_LEN {
+            return false;
+        }
+        let has_sii = self.memory[usize::from(register::SII_CONFIG)] & 1 == 0;
+        match at {
+            register::AL_CONTROL if self.unread.is_some() => return false,
+            register::SII_CONTROL if !has_sii => return false,
+            _ => write_bytes(&mut self.memory, usize::from(at), data),
+        }
         let repeat = register::sync_manager(1) + register::SYNC_MANAGER_ACTIVATE_OFFSET;
         match at {
+            register::AL_CONTROL if self.boots > 0 => self.unread = Some(data[0]),
             register::AL_CONTROL => self.change_state(data[0]),
             register::SII_CONTROL if data.len() == 6 => {
                 self.memory[usize::from(at) + 1] = 0;
@@ -155,6 +180,9 @@ impl FakeSlave {
     }
 
     fn change_state(&mut self, control: u8) {
+        if self.emulated {
+            return self.set_al(control & 0x1F, 0);
+        }
         let now = self.memory[usize::from(register::AL_STATUS)];
         let wanted = control & 0x0F;
         if wanted == 1 {
@@ -168,6 +196,13 @@ impl FakeSlave {
             return;
         }
         match self.refuse_state {
+            _ if self.reads_sii
+                && wanted == 2
+                && now == 1
+                && self.memory[usize::from(register::SII_CONFIG)] & 1 == 0 =>
+            {
+                self.set_al(now | 0x10, 0x50)
+            }
             Some((state, code)) if state == wanted && now & 0x0F < state => self.set_al(now | 0x10, code),
             _ if wanted == 8 && now & 0x0F < 4 => self.set_al(now | 0x10, 0x11),
             _ => self.set_al(wanted, 0),
@@ -328,6 +363,12 @@ impl FakeSegment {
 
     /// Sends a frame through the connected slaves, in place.
     pub(crate) fn process(&mut self, frame: &mut [u8]) {
+        for slave in &mut self.slaves {
+            slave.boots = slave.boots.saturating_sub(1);
+            if let Some(control) = slave.unread.take_if(|_| slave.boots == 0) {
+                slave.change_state(control);
+            }
+        }
         let payload = FrameView::new_checked(frame).unwrap().payload().to_vec();
         let mut chain = Datagrams::new(&payload);
         while let Some(range) = chain.next_range() {

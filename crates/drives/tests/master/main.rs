@@ -3,5 +3,6 @@
 mod bring_up;
 mod drives;
 mod fake;
+mod odd_devices;
 mod repair;
 mod rig;

@@ -7,7 +7,7 @@
 
 use crate::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
 use crate::error::BusError;
-use crate::state::{AlState, STATE_TIMEOUT_MS};
+use crate::state::{AlState, INIT_TIMEOUT_MS};
 use crate::wire::register::{self, FMMU_LEN, SYNC_MANAGER_LEN, SyncManagerRepr};
 use crate::wire::sii::{FixedPart, MailboxWindow};
 use crate::wire::{Address, Command, read_u16};
@@ -18,28 +18,36 @@ pub const STATION_BASE: u16 = 0x1001;
 /// Station address of a slave while it is being identified.
 pub const STATION_TEMPORARY: u16 = 0x1000;
 /// Sync managers and FMMUs that are cleared at the start.
-const CLEARED: usize = 4;
+const CLEARED: u8 = 4;
 
-/// Brings all slaves to INIT without any configuration; resets the error counters.
+/// Brings all slaves to INIT without any configuration; resets the error counters, the aliases' use as addresses and
+/// the control of the ports.
 ///
 /// A slave that does not reach INIT in time is left as it is; the next step that uses it fails.
 ///
 /// # Errors
 /// [`BusError::Lost`].
 pub async fn reset_all<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>) -> Result<(), BusError> {
-    let init = AlState::Init as u16 | register::AL_ERROR_BIT;
+    // The ports open and close by themselves, and no slave answers to its alias.
+    port.broadcast_write(register::DL_CONTROL_PORTS, &[0]).await?;
+    port.broadcast_write(register::DL_CONTROL_ALIAS_BYTE, &[0]).await?;
+    let init = AlState::Init as u16;
+    port.broadcast_write(register::AL_CONTROL, &(init | register::AL_ERROR_BIT).to_le_bytes())
+        .await?;
+    // A slave with device emulation shows the acknowledge bit until a request without it.
     port.broadcast_write(register::AL_CONTROL, &init.to_le_bytes()).await?;
     let started_ms = port.now_ms();
     loop {
         let (status, _) = port.broadcast_read_u16(register::AL_STATUS).await?;
         let seen = status & (register::AL_STATE_MASK | register::AL_ERROR_BIT);
-        if seen == AlState::Init as u16 || port.now_ms().wrapping_sub(started_ms) > STATE_TIMEOUT_MS {
+        if seen == init || port.now_ms().wrapping_sub(started_ms) > INIT_TIMEOUT_MS {
             break;
         }
     }
     port.broadcast_write(register::STATION_ADDRESS, &[0; 2]).await?;
-    port.broadcast_write(register::FMMU, &[0; CLEARED * FMMU_LEN]).await?;
-    port.broadcast_write(register::SYNC_MANAGER, &[0; CLEARED * SYNC_MANAGER_LEN])
+    port.broadcast_write(register::FMMU, &[0; CLEARED as usize * FMMU_LEN])
+        .await?;
+    port.broadcast_write(register::SYNC_MANAGER, &[0; CLEARED as usize * SYNC_MANAGER_LEN])
         .await?;
     port.broadcast_write(register::DC_CYCLIC_CONTROL, &[0; 2]).await?;
     port.broadcast_write(register::RECEIVE_ERRORS, &[0; register::ERROR_COUNTERS_LEN])
@@ -177,15 +185,31 @@ fn mailbox_manager(window: MailboxWindow, control: u8) -> SyncManagerRepr {
     }
 }
 
-/// Clears all of a slave's sync managers and FMMUs, in INIT.
+/// Clears a slave's sync managers and FMMUs, in INIT. A slave with fewer of them may not take all at once; then each is
+/// cleared for itself, if it exists.
 ///
 /// # Errors
-/// As [`AcyclicPort::send_all_until_counted`].
+/// As [`AcyclicPort::send_until_counted`].
 pub async fn clear<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, station: u16) -> Result<(), BusError> {
     let write = |register, data: &[u8]| Request::write(Command::Fpwr, Address::station(station, register), data);
-    let requests = [
-        write(register::FMMU, &[0; CLEARED * FMMU_LEN]),
-        write(register::SYNC_MANAGER, &[0; CLEARED * SYNC_MANAGER_LEN]),
+    let all = [
+        write(register::FMMU, &[0; CLEARED as usize * FMMU_LEN]),
+        write(register::SYNC_MANAGER, &[0; CLEARED as usize * SYNC_MANAGER_LEN]),
     ];
-    port.send_all_until_counted(&requests, 1, |_, _| {}).await
+    let mut is_refused = false;
+    for request in &all {
+        is_refused |= port.answered(request).await?.1 != 1;
+    }
+    if !is_refused {
+        return Ok(());
+    }
+    // The slave may be lost.
+    port.read_u16(station, register::AL_STATUS).await?;
+    for number in 0..CLEARED {
+        let fmmu = write(register::fmmu(number), &[0; FMMU_LEN]);
+        let manager = write(register::sync_manager(number), &[0; SYNC_MANAGER_LEN]);
+        port.answered(&fmmu).await?;
+        port.answered(&manager).await?;
+    }
+    Ok(())
 }

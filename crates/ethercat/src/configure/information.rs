@@ -4,7 +4,7 @@
 //! one datagram, so that data never belong to another address. Several slaves are read in parallel: one frame carries
 //! the commands, the next one the answers (IEC 61158-4-12, slave information interface).
 //!
-//! Invariant: every wait and every walk ends; the master takes the interface by force once and only reads.
+//! Invariant: every wait and every walk ends; the master only reads.
 
 use crate::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
 use crate::diagnostics::Name;
@@ -87,6 +87,19 @@ fn answer(bytes: &[u8], word: u16) -> Answer {
     };
     let data = bytes.get(ANSWER_DATA..ANSWER_DATA + length).unwrap_or(&[]);
     Answer::Data(Reading::from_slice(data).unwrap_or_default())
+}
+
+/// Gives a slave's processor the SII: some read it on their way to PREOP or SAFEOP, and refuse the state otherwise (AL
+/// status code 0x0050). A slave that does not take it keeps what it has.
+pub async fn give_to_slave<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, station: u16) {
+    let address = Address::station(station, register::SII_CONFIG);
+    let request = Request::write(Command::Fpwr, address, &[register::SII_TO_PDI]);
+    let _ = port.answered(&request).await;
+}
+
+/// Takes a slave's SII for the master, by force.
+pub async fn take<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, station: u16) {
+    take_all(port, station..station.wrapping_add(1)).await;
 }
 
 /// Takes the interfaces of some slaves for the master, by force.

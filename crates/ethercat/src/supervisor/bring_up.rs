@@ -30,6 +30,8 @@ const INPUTS_TIMEOUT_MS: u32 = 1_000;
 const OUTPUTS_BEFORE_OPERATIONAL_MS: u32 = 10;
 /// Watchdog of slaves that the application does not use, ms: the slave controllers' default, as they move nothing.
 const UNUSED_WATCHDOG_MS: u16 = 100;
+/// Longest wait for a slave's processor to read a request, ms: some drives take 10 s to start up.
+const UNREAD_TIMEOUT_MS: u32 = 20_000;
 /// How long safe outputs are sent before the slaves leave OP, ms.
 const SAFE_OUTPUTS_MS: u32 = 3;
 
@@ -162,18 +164,41 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         self.configure(number).await
     }
 
+    /// Takes a slave to a state, from the state before it or from a higher one. While the slave's processor does not read
+    /// the request, the application is told what this waits for.
+    async fn change_state(&mut self, number: usize, target: AlState, step: Step) -> Result<(), Failure> {
+        let Some(position) = self.slaves.get(number).map(|slave| slave.position) else {
+            return Ok(());
+        };
+        let (station, started_ms) = (STATION_BASE.wrapping_add(position), self.port.now_ms());
+        loop {
+            let result = state::change(&mut self.port, station, target).await;
+            let failure = match result {
+                Ok(()) => return Ok(()),
+                Err(error) => Failure::of(position, step)(error),
+            };
+            let waited_ms = self.port.now_ms().wrapping_sub(started_ms);
+            if !matches!(failure.error, BusError::RequestUnread { .. }) || waited_ms > UNREAD_TIMEOUT_MS {
+                return Err(failure);
+            }
+            self.refuse(failure).await;
+        }
+    }
+
     /// Takes a slave from any state through INIT to PREOP with its mailbox set up, if it has one.
     pub(super) async fn reach_pre_operational(&mut self, number: usize) -> Result<(), Failure> {
+        if self
+            .slaves
+            .get(number)
+            .is_some_and(|slave| !slave.report.is(AlState::Init))
+        {
+            self.change_state(number, AlState::Init, Step::Init).await?;
+        }
         let Some(slave) = self.slaves.get_mut(number) else {
             return Ok(());
         };
         let (port, station) = (&mut self.port, slave.station());
         let at = |step| Failure::of(slave.position, step);
-        if !slave.report.is(AlState::Init) {
-            state::change(port, station, AlState::Init)
-                .await
-                .map_err(at(Step::Init))?;
-        }
         slave.report = AlReport::default();
         discovery::clear(port, station).await.map_err(at(Step::Init))?;
         if slave.fixed.mailbox_out.length > 0 || slave.member.is_some() {
@@ -183,9 +208,11 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 .await
                 .map_err(at(Step::Mailbox))?;
         }
-        state::change(port, station, AlState::PreOperational)
-            .await
-            .map_err(at(Step::PreOperational))
+        information::give_to_slave(port, station).await;
+        self.change_state(number, AlState::PreOperational, Step::PreOperational)
+            .await?;
+        information::take(&mut self.port, station).await;
+        Ok(())
     }
 
     /// Process data of another slave with equal product and revision.
@@ -233,9 +260,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 .await
                 .map_err(at(Step::Clocks))?;
         }
-        state::change(port, station, AlState::SafeOperational)
+        information::give_to_slave(port, station).await;
+        self.change_state(number, AlState::SafeOperational, Step::SafeOperational)
             .await
-            .map_err(at(Step::SafeOperational))
     }
 
     /// Takes a slave in use from SAFEOP to OP, once its inputs arrive and outputs have been sent for a while. The plan
@@ -251,8 +278,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             let result = clock::await_agreement(&mut self.port, slave.station()).await;
             result.map_err(at(Step::Clocks))?;
         }
-        let result = state::change(&mut self.port, slave.station(), AlState::Operational).await;
-        result.map_err(at(Step::Operational))?;
+        self.change_state(number, AlState::Operational, Step::Operational)
+            .await?;
         if let Some(slave) = self.slaves.get_mut(number) {
             slave.condition = Condition::Operational;
             slave.report = AlReport {

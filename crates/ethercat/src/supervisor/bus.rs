@@ -153,9 +153,10 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         }
     }
 
-    /// Fails if the slaves' process data leave no room in a frame for the longest mailbox among them.
+    /// Fails if the slaves' process data leave no room in a frame for the longest mailbox of those in use.
     pub(super) fn check_plan(&self) -> Result<(), BusError> {
-        let windows = self.slaves.iter().map(|slave| {
+        let used = self.slaves.iter().filter(|slave| slave.member.is_some());
+        let windows = used.map(|slave| {
             let (out, input) = (slave.fixed.mailbox_out.length, slave.fixed.mailbox_in.length);
             out.max(input)
         });

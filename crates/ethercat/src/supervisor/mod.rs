@@ -45,6 +45,8 @@ const LOOK_PERIOD_MS: u32 = 20;
 pub const LINK_TIMEOUT_MS: u32 = 5_000;
 /// How often a repair is restarted after another slave has interrupted it.
 const REPAIR_TRIES_MAX: u8 = 3;
+/// How long a chain that has changed after a failed bring-up has to be stable before the next one, ms.
+const CHANGED_MS: u32 = 100;
 /// Rescans that may fail one after the other before the chain is taken as it is.
 const RESCANS_FAILED_MAX: u8 = 10;
 
@@ -119,8 +121,10 @@ pub struct Supervisor<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     bus: Bus<'a, F, SLAVES, MESSAGE>,
     inbox: Inbox<'a, F>,
     phase: Phase,
-    /// Number of slaves at the last rescan.
+    /// Number of slaves at the last rescan, or at the failed bring-up.
     slaves_sorted: u16,
+    /// When that number changed after the failed bring-up; `None` if it has not.
+    changed_ms: Option<u32>,
     /// Rescans of this number that failed, one after the other.
     rescans_failed: u8,
     inspected_ms: u32,
@@ -156,6 +160,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             port_missed: false,
             phase: Phase::Stopped,
             slaves_sorted: 0,
+            changed_ms: None,
             rescans_failed: 0,
             inspected_ms: 0,
             looked_ms: 0,
@@ -191,6 +196,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 (None, phase) => match self.inbox.services.dequeue() {
                     Some(request) => self.serve(request).await,
                     None if phase == Phase::Running => self.watch().await,
+                    None if phase == Phase::Failed => self.await_change().await,
                     None => {
                         self.bus.port.wait_ms(1).await;
                         self.inbox.observe(&Expectation::ANYTHING);
@@ -200,9 +206,26 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         }
     }
 
+    /// Waits a millisecond after a failed bring-up; brings the bus up once the chain has changed and has slaves enough.
+    async fn await_change(&mut self) {
+        self.bus.port.wait_ms(1).await;
+        self.inbox.observe(&Expectation::ANYTHING);
+        let (there, now_ms) = (self.inbox.slaves(), self.bus.port.now_ms());
+        if there != self.slaves_sorted {
+            (self.slaves_sorted, self.changed_ms) = (there, Some(now_ms));
+        }
+        let is_stable = self
+            .changed_ms
+            .is_some_and(|changed_ms| now_ms.wrapping_sub(changed_ms) >= CHANGED_MS);
+        if is_stable && there >= u16::from(self.bus.setup.members.max(1)) && !self.inbox.port.is_down() {
+            self.start().await;
+        }
+    }
+
     /// Brings the whole bus up.
     async fn start(&mut self) {
-        self.phase = Phase::Failed;
+        (self.phase, self.changed_ms) = (Phase::Failed, None);
+        self.slaves_sorted = self.inbox.slaves();
         if self.link_missing_after_wait().await {
             // A command that arrived meanwhile is carried out instead.
             if !self.inbox.commands.ready() {
@@ -217,7 +240,13 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 self.slaves_sorted = self.bus.slaves.len() as u16;
                 self.bus.emit(BusEvent::Operational).await;
             }
-            Ok(Err(failure)) => self.bus.refuse(failure).await,
+            Ok(Err(failure)) => {
+                self.slaves_sorted = match failure.error {
+                    BusError::SlaveCount { actual, .. } => actual,
+                    _ => self.inbox.slaves(),
+                };
+                self.bus.refuse(failure).await;
+            }
             Err(Interruption::Command) => {}
             Err(Interruption::Bus) if self.inbox.port.is_down() => self.report_missing_link().await,
             Err(Interruption::Bus) => {

@@ -131,6 +131,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let name_here = |text: &str| Name::try_from(text).unwrap_or_default();
         let description = slave.device.map(F::describe).unwrap_or_default();
         let driver = description.name;
+        information::take(&mut self.port, station).await;
         let memory = information::summary(&mut self.port, station).await.unwrap_or_default();
         let speaks = report
             .state()
@@ -208,6 +209,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let mut bytes = [0; PIECE_BYTES_MAX];
         let wanted = usize::from(length).min(PIECE_BYTES_MAX);
         let room = bytes.get_mut(..wanted).unwrap_or_default();
+        information::take(&mut self.port, station).await;
         let read = information::read_words(&mut self.port, station, word, room).await?;
         let piece = Piece::from_slice(bytes.get(..read).unwrap_or(&[])).unwrap_or_default();
         let total = piece.len() as u16;

@@ -114,7 +114,7 @@ impl<'a> Comparison<'a> {
         let fault = report.fault.or_else(|| self.events.fault_at(now));
         // An axis loses its home to an implausible feedback, which is compared with the commands, even while another
         // axis has the fault.
-        let is_close = report.fault.is_some_and(|fault| self.reaches_back(&fault));
+        let is_close = fault.is_some_and(|fault| self.reaches_back(&fault));
         let differs = |axis: usize| now.homed[axis] != report.homed[axis];
         if (0..AXES).any(|axis| differs(axis) && (is_close || self.compares_since_before(axis))) {
             return Some(fault);

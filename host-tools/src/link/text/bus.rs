@@ -8,7 +8,7 @@ use etherpen::ethercat::coe::{abort_hint, abort_text};
 use etherpen::ethercat::diagnostics::ServiceError;
 use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::event::Step;
-use etherpen::ethercat::state::{al_code_hint, al_code_text};
+use etherpen::ethercat::state::{AlState, al_code_hint, al_code_text};
 use etherpen::ethercat::wire::coe::Object;
 use etherpen::ethercat::wire::mailbox::error_text;
 
@@ -122,6 +122,11 @@ pub fn bus_error(error: &BusError) -> String {
             "the slave did not reach {} within {waited_ms} ms, it is in {}; look at its inputs and outputs",
             al_state(expected),
             al_state(actual)
+        ),
+        BusError::RequestUnread { requested, waited_ms } => format!(
+            "the slave answers, but has not read the request for {} for {waited_ms} ms; it may be starting up: wait, or \
+             power-cycle it",
+            AlState::from_status(requested.into()).map_or("a state", AlState::name)
         ),
         BusError::Lost { tries } => {
             format!("no frame came back in {tries} tries; check the cable to the first slave and its supply")

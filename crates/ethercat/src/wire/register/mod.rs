@@ -35,6 +35,10 @@ pub const STATION_ADDRESS: u16 = 0x0010;
 pub const STATION_ALIAS: u16 = 0x0012;
 /// Data link control, 4 bytes.
 pub const DL_CONTROL: u16 = 0x0100;
+/// Control of the ports' loops in [`DL_CONTROL`], two bits each; 0: a port without a link closes by itself.
+pub const DL_CONTROL_PORTS: u16 = DL_CONTROL + 1;
+/// The byte of [`DL_CONTROL`] that lets the slave answer to its alias.
+pub const DL_CONTROL_ALIAS_BYTE: u16 = DL_CONTROL + 3;
 /// Data link status, 2 bytes: link and loop of each port, see [`DlStatus`].
 pub const DL_STATUS: u16 = 0x0110;
 /// AL control, 2 bytes: the state requested; bit 4 acknowledges an error.
@@ -126,6 +130,8 @@ pub const AL_STATE_MASK: u16 = 0x0F;
 /// Divider for a watchdog unit of 100 microseconds: 40 ns times (2498 + 2).
 pub const WATCHDOG_DIVIDER_100_US: u16 = 2498;
 
+/// Value of [`SII_CONFIG`] that gives the SII to the slave's processor (PDI).
+pub const SII_TO_PDI: u8 = 1 << 0;
 /// Value of [`SII_CONFIG`] that takes the SII from the PDI by force.
 pub const SII_FORCE: u8 = 1 << 1;
 /// [`SII_CONTROL`]: 8 bytes are read at a time instead of 4.
