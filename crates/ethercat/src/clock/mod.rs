@@ -7,10 +7,14 @@
 //! and their order: IEC 61158-4-12 (distributed clocks) and the slave controllers' public data sheets.
 //!
 //! SYNC0 starts a configured time after the present phase of the frames at the reference, so nothing has to jump when
-//! it starts.
+//! it starts. A clock of 32 bits wraps after 4.29 s, which is no whole number of periods: phases are those of the
+//! reference's time in 64 bits, which the master continues itself if the reference has only 32.
+//!
+//! Only a read of the system time tells who has a clock: some terminals latch the times of a frame, and say in their
+//! features that they have clocks, but have none.
 //!
 //! Invariants: every step is bounded in frames; a slave without a clock is left alone; a slave that returns takes the
-//! time of the others and does not change theirs.
+//! time of the others and does not change theirs; only a clock that has the time of the bus distributes it.
 
 pub mod delay;
 pub mod steering;
@@ -19,7 +23,7 @@ use super::acyclic::{AcyclicPort, Request};
 use super::error::BusError;
 use super::plan::ReferenceClock;
 use super::wire::register::{self, DlStatus};
-use super::wire::{Address, Command, read_u32, read_u64};
+use super::wire::{Address, Command, read_u16, read_u32, read_u64};
 use delay::{PortTimes, propagation_delays_ns};
 use heapless::Vec;
 
@@ -27,10 +31,14 @@ use heapless::Vec;
 pub const SETTLING_FRAMES: u16 = 32;
 /// Largest difference between a slave's system time and the reference's before the slave goes to OP, ns.
 pub const DIFFERENCE_MAX_NS: u32 = 1_000;
-/// Longest wait for the clocks to agree, ms.
-pub const DIFFERENCE_TIMEOUT_MS: u32 = 2_000;
+/// Longest wait for the clocks to agree, ms: some take thousands of frames.
+pub const DIFFERENCE_TIMEOUT_MS: u32 = 5_000;
 /// Time from the activation of SYNC0 to its first pulse, ns: many cycles, so that lost frames do not matter.
 const START_AHEAD_NS: u64 = 100_000_000;
+/// Nanoseconds in a millisecond.
+const NS_PER_MS: u64 = 1_000_000;
+/// Bytes of the ports' receive times.
+const PORT_TIMES_LEN: usize = 16;
 /// Bytes from the first port's receive time to the end of the processing unit's.
 const TIMES_LEN: usize = (register::DC_RECEIVE_TIME_UNIT - register::DC_RECEIVE_TIME) as usize + 8;
 
@@ -49,6 +57,10 @@ pub enum Width {
 pub struct SlaveClock {
     /// Width of its time; `None` if it has no clock.
     pub width: Option<Width>,
+    /// Whether it latches the times at which a frame passes its ports; every slave with a clock does.
+    pub latches: bool,
+    /// Whether its clock has the time of the bus since it was last switched on.
+    pub is_set: bool,
     /// Port times latched by the last measurement.
     pub ports: PortTimes,
     /// The slave's own time when the frame of the measurement passed its processing unit, ns.
@@ -70,6 +82,10 @@ pub struct BusClocks<const SLAVES: usize> {
     pub period_ns: u32,
     /// Phase of the frames at the reference, ns within the period.
     pub phase_ns: u32,
+    /// The reference's time in 64 bits when it was last read, ns; `None` before.
+    time_ns: Option<u64>,
+    /// The master's time then, ms.
+    read_ms: u32,
 }
 
 impl<const SLAVES: usize> BusClocks<SLAVES> {
@@ -78,10 +94,19 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
         self.slaves.iter().position(|slave| slave.width.is_some())
     }
 
+    /// Place in the chain of the slave that distributes its time: the first that answers and has the time of the bus. A
+    /// lost one distributes nothing; the clocks before it would be written what the master has sent.
+    fn distributor(&self, answers: impl Fn(usize) -> bool) -> Option<usize> {
+        let mut places = self.slaves.iter().enumerate();
+        places
+            .find(|(place, slave)| slave.width.is_some() && slave.is_set && answers(*place))
+            .map(|(place, _)| place)
+    }
+
     /// Reference clock for the critical side, which distributes its time. `stations` are the station addresses;
-    /// `answers` returns false for slaves that are lost.
+    /// `answers` returns false for slaves that are lost. `None` if no clock has the time of the bus.
     pub fn reference_clock(&self, stations: &[u16], answers: impl Fn(usize) -> bool) -> Option<ReferenceClock> {
-        let station = *stations.get(self.reference()?)?;
+        let station = *stations.get(self.distributor(&answers)?)?;
         let present = self
             .slaves
             .iter()
@@ -92,6 +117,46 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
             (slaves + 1, wide && width == Width::Bits64)
         });
         Some(ReferenceClock { station, slaves, wide })
+    }
+
+    /// Whether a slave has no clock, or one with the time of the bus.
+    pub fn is_set(&self, position: usize) -> bool {
+        let clock = self.slaves.get(position).filter(|slave| slave.width.is_some());
+        clock.is_none_or(|slave| slave.is_set)
+    }
+
+    /// Notes that a slave was switched off: its clock no longer has the time of the bus.
+    pub fn was_off(&mut self, position: usize) {
+        if let Some(slave) = self.slaves.get_mut(position) {
+            slave.is_set = false;
+        }
+    }
+
+    /// The time of the bus at `now_ms` according to the master's own time, ns; `None` before it was read.
+    fn expected_ns(&self, now_ms: u32) -> Option<u64> {
+        let passed_ns = u64::from(now_ms.wrapping_sub(self.read_ms)) * NS_PER_MS;
+        self.time_ns.map(|time_ns| time_ns.wrapping_add(passed_ns))
+    }
+
+    /// The reference's time in 64 bits from what was read of it at `now_ms`: the value nearest to what the master's own
+    /// time lets expect.
+    fn extended_ns(&mut self, read_ns: u64, width: Width, now_ms: u32) -> u64 {
+        let time_ns = match (width, self.expected_ns(now_ms)) {
+            (Width::Bits32, Some(expected_ns)) => {
+                let off_ns = (read_ns as u32).wrapping_sub(expected_ns as u32) as i32;
+                expected_ns.wrapping_add_signed(off_ns.into())
+            }
+            _ => read_ns,
+        };
+        (self.time_ns, self.read_ms) = (Some(time_ns), now_ms);
+        time_ns
+    }
+
+    /// The time of the bus for a frame at `now_ms` when no clock has kept it, ns: about that of the master, and with the
+    /// phase that the frames had at the reference.
+    fn continued_ns(&self, now_ms: u32) -> u64 {
+        let (expected_ns, period_ns) = (self.expected_ns(now_ms).unwrap_or(0), u64::from(self.period_ns.max(1)));
+        expected_ns - expected_ns % period_ns + u64::from(self.phase_ns)
     }
 
     /// Whether the slave at this place has a clock.
@@ -118,25 +183,31 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
     }
 }
 
-/// Determines which slaves have a clock, and their open ports. `stations` are the station addresses in chain order.
+/// Determines which slaves have a clock. `stations` are the station addresses in chain order; a slave that does not
+/// answer counts as one without a clock.
 ///
 /// # Errors
-/// As [`AcyclicPort::send_until_counted`].
+/// As [`AcyclicPort::answered`].
 pub async fn discover<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
 ) -> Result<BusClocks<SLAVES>, BusError> {
     let mut clocks = BusClocks::<SLAVES>::default();
     for station in stations.iter().take(SLAVES) {
-        let features = port.read_u16(*station, register::FEATURES).await?;
-        let width = match features & (register::FEATURE_CLOCKS | register::FEATURE_CLOCKS_64) {
-            both if both & register::FEATURE_CLOCKS == 0 => None,
-            register::FEATURE_CLOCKS => Some(Width::Bits32),
+        let read = |register, length| Request::read(Command::Fprd, Address::station(*station, register), length);
+        let (bytes, answers) = port.answered(&read(register::FEATURES, 2)).await?;
+        let features = if answers == 1 { read_u16(&bytes, 0) } else { 0 };
+        let latches = features & register::FEATURE_CLOCKS != 0;
+        let has_time = latches && port.answered(&read(register::DC_SYSTEM_TIME, 4)).await?.1 == 1;
+        let width = match features & register::FEATURE_CLOCKS_64 {
+            _ if !has_time => None,
+            0 => Some(Width::Bits32),
             _ => Some(Width::Bits64),
         };
         // The loop ends at the capacity.
         let _ = clocks.slaves.push(SlaveClock {
             width,
+            latches,
             ..SlaveClock::default()
         });
     }
@@ -156,35 +227,51 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
     port.broadcast_write(register::DC_RECEIVE_TIME, &[0; 4]).await?;
     let (mut there, mut ports) = (Vec::<usize, SLAVES>::new(), Vec::<PortTimes, SLAVES>::new());
     for (position, (station, slave)) in stations.iter().zip(clocks.slaves.iter_mut()).enumerate() {
-        slave.measured = false;
-        let status = match port.read_u16(*station, register::DL_STATUS).await {
+        slave.measured = match read_times(port, *station, slave).await {
             // Another slave is lost; the frames bypass it.
-            Err(BusError::WorkingCounter { actual: 0, .. }) => continue,
-            status => status?,
+            Err(BusError::WorkingCounter { actual: 0, .. }) => false,
+            read => read.map(|()| true)?,
         };
-        slave.measured = true;
-        slave.ports = PortTimes {
-            has_clock: slave.width.is_some(),
-            open: open_ports(status),
-            ..PortTimes::default()
-        };
-        if let Some(width) = slave.width {
-            let times = port.read(*station, register::DC_RECEIVE_TIME, TIMES_LEN).await?;
-            slave.ports.received_ns = core::array::from_fn(|number| read_u32(&times, 4 * number));
-            let local_ns = read_u64(&times, TIMES_LEN - 8);
-            slave.local_ns = match width {
-                Width::Bits32 => local_ns & u64::from(u32::MAX),
-                Width::Bits64 => local_ns,
-            };
+        if slave.measured {
+            // There is room for all slaves.
+            let _ = (there.push(position), ports.push(slave.ports));
         }
-        // There is room for all slaves.
-        let _ = (there.push(position), ports.push(slave.ports));
     }
     for (position, delay_ns) in there.iter().zip(propagation_delays_ns::<SLAVES>(&ports)) {
         if let Some(slave) = clocks.slaves.get_mut(*position) {
             slave.delay_ns = delay_ns;
         }
     }
+    Ok(())
+}
+
+/// Reads a slave's open ports and the times that it has latched.
+async fn read_times<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    slave: &mut SlaveClock,
+) -> Result<(), BusError> {
+    let status = port.read_u16(station, register::DL_STATUS).await?;
+    slave.ports = PortTimes {
+        has_clock: slave.latches,
+        open: open_ports(status),
+        ..PortTimes::default()
+    };
+    if !slave.latches {
+        return Ok(());
+    }
+    let length = if slave.width.is_some() {
+        TIMES_LEN
+    } else {
+        PORT_TIMES_LEN
+    };
+    let times = port.read(station, register::DC_RECEIVE_TIME, length).await?;
+    slave.ports.received_ns = core::array::from_fn(|number| read_u32(&times, 4 * number));
+    let local_ns = read_u64(&times, TIMES_LEN - 8);
+    slave.local_ns = match slave.width {
+        Some(Width::Bits64) => local_ns,
+        _ => local_ns & u64::from(u32::MAX),
+    };
     Ok(())
 }
 
@@ -227,7 +314,7 @@ pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
 }
 
 /// Sets the bus time of a slave that was switched off. The other slaves keep their time, even if this slave is the
-/// reference.
+/// reference; if no other has it, this one continues it.
 ///
 /// # Errors
 /// As [`AcyclicPort::send_until_counted`].
@@ -240,13 +327,15 @@ pub async fn restore<const SLAVES: usize, const MESSAGE: usize>(
     let Some(station) = stations.get(position).filter(|_| clocks.has_clock(position)) else {
         return Ok(());
     };
+    clocks.was_off(position);
     measure(port, stations, clocks).await?;
-    let measured = |other: &usize| clocks.slaves.get(*other).is_some_and(|slave| slave.measured);
-    let mut others = (0..clocks.slaves.len()).filter(|other| *other != position && clocks.has_clock(*other));
-    let source = others.find(measured);
+    let is_source = |slave: &SlaveClock| slave.width.is_some() && slave.measured && slave.is_set;
+    let source = clocks.slaves.iter().position(is_source);
+    let slave = clocks.slaves.get(position).copied().unwrap_or_default();
+    let continued_ns = || clocks.continued_ns(port.now_ms()).wrapping_add(slave.delay_ns.into());
     let offset_ns = source
         .and_then(|source| clocks.offset_ns(position, source))
-        .unwrap_or(0);
+        .unwrap_or_else(|| continued_ns().wrapping_sub(slave.local_ns));
     write_offset(port, *station, position, clocks, offset_ns).await
 }
 
@@ -272,7 +361,11 @@ async fn write_offset<const SLAVES: usize, const MESSAGE: usize>(
     port.write(station, register::DC_DELAY, &slave.delay_ns.to_le_bytes())
         .await?;
     let start = register::SPEED_START_DEFAULT.to_le_bytes();
-    port.write(station, register::DC_SPEED_START, &start).await
+    port.write(station, register::DC_SPEED_START, &start).await?;
+    if let Some(slave) = clocks.slaves.get_mut(position) {
+        slave.is_set = true;
+    }
+    Ok(())
 }
 
 /// Distributes the reference's time [`SETTLING_FRAMES`] times and takes the mean phase of the frames.
@@ -281,16 +374,18 @@ async fn settle<const SLAVES: usize, const MESSAGE: usize>(
     stations: &[u16],
     clocks: &mut BusClocks<SLAVES>,
 ) -> Result<(), BusError> {
-    let Some(station) = clocks.reference().and_then(|reference| stations.get(reference)) else {
+    let Some((station, width)) = reference_of(stations, clocks, |_| true) else {
         return Ok(());
     };
     let expected = clocks.slaves.iter().filter(|slave| slave.width.is_some()).count() as u16;
-    let address = Address::station(*station, register::DC_SYSTEM_TIME);
+    let address = Address::station(station, register::DC_SYSTEM_TIME);
     let request = Request::read(Command::Frmw, address, 8);
+    clocks.time_ns = None;
     let (mut first_ns, mut sum_ns, mut readings) = (None, 0_i64, 0_i64);
     let period_ns = i64::from(clocks.period_ns.max(1));
     for _ in 0..SETTLING_FRAMES {
-        let time_ns = read_u64(&port.send_until_counted(&request, expected).await?, 0);
+        let read_ns = read_u64(&port.send_until_counted(&request, expected).await?, 0);
+        let time_ns = clocks.extended_ns(read_ns, width, port.now_ms());
         let phase_ns = (time_ns % period_ns.unsigned_abs()) as i64;
         let first_ns = *first_ns.get_or_insert(phase_ns);
         // Takes the difference by the shorter way round the period.
@@ -300,6 +395,30 @@ async fn settle<const SLAVES: usize, const MESSAGE: usize>(
         clocks.phase_ns = mean_ns.rem_euclid(period_ns) as u32;
     }
     Ok(())
+}
+
+/// Station address and width of the clock that distributes its time.
+fn reference_of<const SLAVES: usize>(
+    stations: &[u16],
+    clocks: &BusClocks<SLAVES>,
+    answers: impl Fn(usize) -> bool,
+) -> Option<(u16, Width)> {
+    let place = clocks.distributor(answers)?;
+    Some((*stations.get(place)?, clocks.slaves.get(place)?.width?))
+}
+
+/// Continues the reference's time in 64 bits; call it at least every 2 s. Does nothing if the reference has 64 bits.
+pub async fn follow<const SLAVES: usize, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    stations: &[u16],
+    clocks: &mut BusClocks<SLAVES>,
+    answers: impl Fn(usize) -> bool,
+) {
+    if let Some((station, Width::Bits32)) = reference_of(stations, clocks, answers)
+        && let Ok(bytes) = port.read(station, register::DC_SYSTEM_TIME, 4).await
+    {
+        clocks.extended_ns(read_u32(&bytes, 0).into(), Width::Bits32, port.now_ms());
+    }
 }
 
 /// A slave's difference from the reference, ns: positive when it is ahead.
@@ -340,25 +459,44 @@ pub async fn await_agreement<const MESSAGE: usize>(
     }
 }
 
-/// Starts SYNC0 of a slave in PREOP: the period of the exchange, `shift_ns` after the frames pass the reference.
+/// Starts SYNC0 of the slave at `position`, in PREOP: the period of the exchange, `shift_ns` after the frames pass the
+/// reference. Slave and reference are read in one frame, so that the start is right for clocks of either width.
 ///
-/// `assign_activate` is the word of the drive's description: low byte for register 0x0980, high byte for 0x0981.
-/// Returns the start time.
+/// `assign_activate` is the word of the drive's description: low byte for register 0x0980, high byte for 0x0981;
+/// `answers` returns false for slaves that are lost. Returns the start time in the slave's own system time.
 ///
 /// # Errors
-/// As [`AcyclicPort::send_until_counted`].
+/// As [`AcyclicPort::send_all_until_counted`].
 pub async fn start_sync<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
-    station: u16,
-    clocks: &BusClocks<SLAVES>,
+    stations: &[u16],
+    position: usize,
+    clocks: &mut BusClocks<SLAVES>,
     assign_activate: u16,
     shift_ns: u32,
+    answers: impl Fn(usize) -> bool,
 ) -> Result<u64, BusError> {
+    let station = stations.get(position).copied().unwrap_or(0);
+    let delay_ns = clocks.slaves.get(position).map_or(0, |slave| slave.delay_ns);
+    let (reference, width) = reference_of(stations, clocks, answers).unwrap_or((station, Width::Bits64));
     stop_sync(port, station).await?;
     port.write(station, register::DC_SYNC0_CYCLE, &clocks.period_ns.to_le_bytes())
         .await?;
-    let now_ns = read_u64(&port.read(station, register::DC_SYSTEM_TIME, 8).await?, 0);
-    let start_ns = clocks.start_time_ns(now_ns, shift_ns);
+    let requests = [reference, station].map(|station| {
+        let address = Address::station(station, register::DC_SYSTEM_TIME);
+        Request::read(Command::Fprd, address, 8)
+    });
+    let mut times_ns = [0; 2];
+    port.send_all_until_counted(&requests, 1, |number, bytes| {
+        if let Some(time_ns) = times_ns.get_mut(number) {
+            *time_ns = read_u64(bytes, 0);
+        }
+    })
+    .await?;
+    let [reference_ns, local_ns] = times_ns;
+    let now_ns = clocks.extended_ns(reference_ns, width, port.now_ms());
+    let ahead_ns = clocks.start_time_ns(now_ns, shift_ns).wrapping_sub(now_ns);
+    let start_ns = local_ns.wrapping_sub(delay_ns.into()).wrapping_add(ahead_ns);
     port.write(station, register::DC_START_TIME, &start_ns.to_le_bytes())
         .await?;
     port.write(station, register::DC_CYCLIC_CONTROL, &assign_activate.to_le_bytes())

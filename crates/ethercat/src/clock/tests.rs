@@ -17,6 +17,8 @@ use std::vec::Vec as StdVec;
 
 const PERIOD_NS: u32 = 1_000_000;
 const STATIONS: [u16; 4] = [0x1001, 0x1002, 0x1003, 0x1004];
+/// Most milliseconds of a step: more than an hour.
+const POLLS_MAX: u32 = 4_000_000;
 /// One way from a slave's entry to the next one's, ns.
 const HOP_NS: u64 = 500;
 
@@ -27,6 +29,8 @@ struct Model {
     drift_ppb: i64,
     memory: StdVec<u8>,
     delay_ns: u64,
+    /// Whether its features tell of a clock.
+    latches: bool,
 }
 
 impl Model {
@@ -76,6 +80,7 @@ impl Chain {
                 drift_ppb,
                 memory: std::vec![0; 0x1000],
                 delay_ns: number * HOP_NS,
+                latches: width.is_some(),
             };
             model.put(register::FEATURES, &features.to_le_bytes());
             // Ports 0 and 1 open, the last slave's port 1 closed; ports 2 and 3 closed.
@@ -104,7 +109,6 @@ impl Chain {
 
     fn answer(&mut self, request: &Request) -> Reply {
         self.frames += 1;
-        self.true_ns += u64::from(PERIOD_NS);
         let (at, mut data, mut working_counter) = (request.address.register(), request.data.clone(), 0);
         if !self.log.is_empty() {
             self.log.push(' ');
@@ -120,6 +124,7 @@ impl Chain {
             write_bytes(&mut model.memory, usize::from(register::DC_SYSTEM_TIME), &system);
             let mine = request.address == Address::station(station, at);
             match request.command {
+                Command::Fprd if mine && at == register::DC_SYSTEM_TIME && model.width.is_none() => {}
                 Command::Fprd | Command::Frmw if mine => {
                     let length = data.len();
                     data.copy_from_slice(&model.memory[usize::from(at)..][..length]);
@@ -162,10 +167,11 @@ impl Chain {
             Lane::new(message_in, message_reply_out),
         );
         let mut future = pin!(step(port));
-        for _ in 0..10_000 {
+        for _ in 0..POLLS_MAX {
             if let Poll::Ready(result) = future.as_mut().poll(&mut Context::from_waker(Waker::noop())) {
                 return result;
             }
+            self.true_ns += u64::from(PERIOD_NS);
             let taken: VecDeque<Request> = core::iter::from_fn(|| request_out.dequeue()).collect();
             for request in taken {
                 let reply = self.answer(&request);
@@ -242,11 +248,52 @@ fn the_first_slave_with_a_clock_is_the_reference_and_a_bus_without_clocks_is_lef
 }
 
 #[test]
+fn a_slave_that_only_latches_times_has_no_clock_but_its_cable_is_measured() {
+    let mut chain = Chain::new([(WIDE, 9_000, 0), (None, 0, 0), (None, 77, 0), (WIDE, 50, 0)]);
+    // As EL1004 and EL2828: bit 2 of the features, receive times, no system time.
+    for terminal in &mut chain.slaves[1..3] {
+        terminal.latches = true;
+        terminal.put(register::FEATURES, &register::FEATURE_CLOCKS.to_le_bytes());
+    }
+    let clocks = chain.set_up();
+    let found: StdVec<_> = clocks
+        .slaves
+        .iter()
+        .map(|slave| (slave.width, slave.delay_ns))
+        .collect();
+    assert_eq!(found, [(WIDE, 0), (None, 500), (None, 1_000), (WIDE, 1_500)]);
+    assert_eq!(
+        clocks.reference_clock(&STATIONS, |_| true).map(|clock| clock.slaves),
+        Some(2)
+    );
+    assert_eq!(chain.differences_ns()[3], 0);
+}
+
+#[test]
+fn the_time_is_distributed_by_the_first_clock_that_answers_and_is_set() {
+    let mut chain = Chain::new([(WIDE, 5, 0), (None, 0, 0), (WIDE, 42, 0), (WIDE, 9, 0)]);
+    let mut clocks = chain.set_up();
+    let station = |clocks: &BusClocks<16>, lost: &[usize]| {
+        let clock = clocks.reference_clock(&STATIONS, |place| !lost.contains(&place));
+        clock.map(|clock| (clock.station, clock.slaves))
+    };
+    assert_eq!(station(&clocks, &[]), Some((STATIONS[0], 3)));
+    assert_eq!(station(&clocks, &[0]), Some((STATIONS[2], 2)));
+    assert_eq!(station(&clocks, &[0, 2, 3]), None);
+    clocks.was_off(0);
+    assert_eq!(
+        station(&clocks, &[]),
+        Some((STATIONS[2], 3)),
+        "it has returned with a time of its own"
+    );
+}
+
+#[test]
 fn the_set_up_comes_in_order_and_in_a_bounded_number_of_frames() {
     let mut chain = Chain::new([(WIDE, 5, 0), (None, 0, 0), (None, 0, 0), (NARROW, 9, 0)]);
     chain.set_up();
     let settling = " Frmw:0910".repeat(usize::from(SETTLING_FRAMES));
-    let expected = "Fprd:0008 Fprd:0008 Fprd:0008 Fprd:0008 Bwr:0900 Fprd:0110 Fprd:0900 Fprd:0110 Fprd:0110 Fprd:0110 \
+    let expected = "Fprd:0008 Fprd:0910 Fprd:0008 Fprd:0008 Fprd:0008 Fprd:0910 Bwr:0900 Fprd:0110 Fprd:0900 Fprd:0110 Fprd:0110 Fprd:0110 \
                     Fprd:0900 Fpwr:0920 Fpwr:0928 Fpwr:0930 Fpwr:0920 Fpwr:0928 Fpwr:0930";
     assert_eq!(chain.log, std::format!("{expected}{settling}"));
     assert_eq!(
@@ -267,6 +314,9 @@ fn a_slave_that_was_switched_off_takes_the_time_of_the_others_also_as_the_refere
         let before_ns = chain.slaves[1].system_ns(chain.true_ns);
         chain.slaves[position].start_ns = 0_u64.wrapping_sub(chain.true_ns);
         chain.slaves[position].put(register::DC_OFFSET, &[0; 12]);
+        // Another one that was off as well, and waits for its own repair.
+        chain.slaves[3].start_ns = 99;
+        clocks.was_off(3);
         let writes = chain.log.matches("Fpwr").count();
         chain
             .run(async |mut port: AcyclicPort<'static, 64>| restore(&mut port, &STATIONS, &mut clocks, position).await)
@@ -275,23 +325,86 @@ fn a_slave_that_was_switched_off_takes_the_time_of_the_others_also_as_the_refere
         let passed_ns = chain.slaves[1].system_ns(chain.true_ns) - before_ns;
         assert_eq!(passed_ns % u64::from(PERIOD_NS), 0);
         let now_ns = chain.true_ns;
-        let times: StdVec<u64> = chain.slaves.iter().map(|slave| slave.system_ns(now_ns)).collect();
-        assert_eq!(times, [times[1]; 4], "slave {position}");
+        let mut models = chain.slaves.iter().take(3);
+        assert!(models.all(|slave| slave.system_ns(now_ns) == chain.slaves[1].system_ns(now_ns)));
+    }
+}
+
+#[test]
+fn the_first_clock_to_return_continues_the_time_when_all_were_off() {
+    let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (None, 0, 0), (None, 0, 0)]);
+    let (clocks, before_ns, after_ns) = {
+        let models = &mut chain;
+        let mut clocks = models.set_up();
+        let before_ns = models.slaves[0].system_ns(models.true_ns);
+        for slave in 0..2 {
+            clocks.was_off(slave);
+            models.slaves[slave].start_ns = 31 + slave as u64;
+            models.slaves[slave].put(register::DC_OFFSET, &[0; 12]);
+        }
+        for slave in [1, 0] {
+            models
+                .run(async |mut port: AcyclicPort<'static, 64>| restore(&mut port, &STATIONS, &mut clocks, slave).await)
+                .expect("the clock");
+        }
+        (clocks, before_ns, models.slaves[0].system_ns(models.true_ns))
+    };
+    let period_ns = u64::from(PERIOD_NS);
+    assert_eq!(before_ns % period_ns, u64::from(clocks.phase_ns));
+    let off_ns = (after_ns % period_ns).abs_diff(u64::from(clocks.phase_ns));
+    assert!(
+        off_ns <= 2 * HOP_NS,
+        "{off_ns} ns: the phase of the frames is kept to their delay"
+    );
+    assert_eq!(chain.slaves[1].system_ns(chain.true_ns), after_ns);
+}
+
+#[test]
+fn sync_starts_at_its_shift_behind_the_frames_after_an_hour_with_clocks_of_any_width() {
+    let chains = [
+        [NARROW; 4],
+        [NARROW, WIDE, NARROW, WIDE],
+        [WIDE, NARROW, WIDE, NARROW],
+        [WIDE; 4],
+    ];
+    for (widths, slave) in chains
+        .into_iter()
+        .flat_map(|widths| [(widths, 1), (widths, 2), (widths, 3)])
+    {
+        let starts = [u64::from(u32::MAX) - 9, 1 << 35, 3, 99];
+        let mut chain = Chain::new(core::array::from_fn(|number| (widths[number], starts[number], 0)));
+        let begin_ns = chain.true_ns;
+        let start_ns = chain
+            .run(async |mut port: AcyclicPort<'static, 64>| -> Result<u64, BusError> {
+                let mut clocks: BusClocks<16> = set_up(&mut port, &STATIONS, PERIOD_NS).await?;
+                for _ in 0..3_600 {
+                    port.wait_ms(999).await;
+                    follow(&mut port, &STATIONS, &mut clocks, |_| true).await;
+                }
+                start_sync(&mut port, &STATIONS, slave, &mut clocks, 0x0300, 250_000, |_| true).await
+            })
+            .expect("the activation");
+        // The true time of the first pulse: within 2 s of now, in the slave's own time.
+        let model = &chain.slaves[slave];
+        let ahead_ns = (start_ns as u32).wrapping_sub(model.system_ns(chain.true_ns) as u32) as i32;
+        let pulse_ns = chain.true_ns.wrapping_add_signed(ahead_ns.into()) - begin_ns;
+        assert_eq!(pulse_ns % u64::from(PERIOD_NS), 250_000, "{widths:?}, slave {slave}");
     }
 }
 
 #[test]
 fn sync_starts_ahead_in_time_at_its_shift_behind_the_phase_of_the_frames() {
     let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 7, 0)]);
-    let clocks = chain.set_up();
+    let mut clocks = chain.set_up();
     for (shift_ns, station) in [(0, STATIONS[1]), (250_000, STATIONS[2]), (999_999, STATIONS[3])] {
         chain.log.clear();
         let start_ns = chain
             .run(async |mut port: AcyclicPort<'static, 64>| {
-                start_sync(&mut port, station, &clocks, 0x0300, shift_ns).await
+                let slave = usize::from(station - STATIONS[0]);
+                start_sync(&mut port, &STATIONS, slave, &mut clocks, 0x0300, shift_ns, |_| true).await
             })
             .expect("the activation");
-        assert_eq!(chain.log, "Fpwr:0980 Fpwr:09a0 Fprd:0910 Fpwr:0990 Fpwr:0980");
+        assert_eq!(chain.log, "Fpwr:0980 Fpwr:09a0 Fprd:0910 Fprd:0910 Fpwr:0990 Fpwr:0980");
         let now_ns = chain.slaves[0].system_ns(chain.true_ns);
         let ahead_ns = start_ns - now_ns;
         println!("shift {shift_ns} ns: {ahead_ns} ns ahead");

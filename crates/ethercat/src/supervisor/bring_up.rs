@@ -255,12 +255,15 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             .map_err(at(Step::ProcessData))?;
         let activate = slave.device.map_or(0, |device| F::describe(device).assign_activate);
         if activate != 0 && self.clocks.has_clock(usize::from(position)) {
-            let shift_ns = u32::from(self.setup.sync_shift_us) * 1_000;
-            clock::start_sync(port, station, &self.clocks, activate, shift_ns)
+            let (stations, shift_ns) = (self.stations(), u32::from(self.setup.sync_shift_us) * 1_000);
+            let there = self.answering();
+            let answers = |place: usize| there.get(place).is_some_and(|there| *there);
+            let Self { port, clocks, .. } = self;
+            clock::start_sync(port, &stations, position.into(), clocks, activate, shift_ns, answers)
                 .await
                 .map_err(at(Step::Clocks))?;
         }
-        information::give_to_slave(port, station).await;
+        information::give_to_slave(&mut self.port, station).await;
         self.change_state(number, AlState::SafeOperational, Step::SafeOperational)
             .await
     }

@@ -4,7 +4,7 @@
 //! show any AL state without disturbing the critical side.
 
 use super::super::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
-use super::super::clock::BusClocks;
+use super::super::clock::{self, BusClocks};
 use super::super::cyclic::{CyclicPlan, CyclicSlave, PlanError, ReferenceClock};
 use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
@@ -204,11 +204,22 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
 
     /// The reference clock whose time is distributed in each cycle, if the clocks were set up.
     fn reference_clock(&self) -> Option<ReferenceClock> {
-        let answers = |position: usize| {
-            let slave = self.slaves.get(position);
-            slave.is_some_and(|slave| slave.condition != Condition::Lost)
-        };
+        let there = self.answering();
+        let answers = |position: usize| there.get(position).is_some_and(|there| *there);
         self.clocks.reference_clock(&self.stations(), answers)
+    }
+
+    /// Which slaves are not lost.
+    pub(super) fn answering(&self) -> Vec<bool, SLAVES> {
+        let is_there = |slave: &Slave<F>| slave.condition != Condition::Lost;
+        self.slaves.iter().map(is_there).collect()
+    }
+
+    /// Continues the time of a reference clock of 32 bits.
+    pub(super) async fn follow_clock(&mut self) {
+        let (stations, there) = (self.stations(), self.answering());
+        let answers = |position: usize| there.get(position).is_some_and(|there| *there);
+        clock::follow(&mut self.port, &stations, &mut self.clocks, answers).await;
     }
 
     /// The station addresses of all slaves.

@@ -50,10 +50,13 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             // The slave goes through INIT in any case.
             slave.report = Default::default();
         }
-        let stations = self.stations();
-        clock::restore(&mut self.port, &stations, &mut self.clocks, number)
-            .await
-            .map_err(at(Step::Clocks))?;
+        // One that has kept its address has kept its time.
+        if !self.clocks.is_set(number) {
+            let stations = self.stations();
+            clock::restore(&mut self.port, &stations, &mut self.clocks, number)
+                .await
+                .map_err(at(Step::Clocks))?;
+        }
         self.reach_safe_operational(number).await?;
         self.send_plan().await;
         self.reach_operational(number).await
@@ -120,6 +123,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             let fixed = self.identify(*place, places).await.map_err(at(Step::Identify))?;
             match self.is_same(&slave, &fixed.identity) {
                 Ok(()) if is_known || (is_elsewhere && has_serial_of(&slave, &fixed.identity)) => {
+                    self.clocks.was_off(number);
                     return self.name(slave.station()).await.map_err(at(Step::Address));
                 }
                 Err(error) if is_its_place => other = Some(error),

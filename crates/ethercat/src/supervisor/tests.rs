@@ -237,12 +237,11 @@ fn a_new_bring_up_distributes_no_time_before_its_clocks_are_set_up() {
     let (mut outside, mut bus) = Outside::with_bus(&[Device::at(0)]);
     let clock = SlaveClock {
         width: Some(Width::Bits64),
+        is_set: true,
         ..SlaveClock::default()
     };
-    bus.clocks = BusClocks {
-        slaves: [clock].into_iter().collect(),
-        ..BusClocks::default()
-    };
+    bus.clocks = BusClocks::default();
+    assert!(bus.clocks.slaves.push(clock).is_ok());
     assert!(bus.slaves.push(Slave::at(0)).is_ok());
     outside.run(bus.send_plan());
     assert!(outside.plans.pop().unwrap().clock.is_some());

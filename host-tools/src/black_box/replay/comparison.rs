@@ -113,10 +113,10 @@ impl<'a> Comparison<'a> {
     fn not_recorded(&self, now: &SampleEntry, report: &CycleReport) -> Option<Option<Fault>> {
         let fault = report.fault.or_else(|| self.events.fault_at(now));
         // An axis loses its home to an implausible feedback, which is compared with the commands, even while another
-        // axis has the fault.
-        let is_close = fault.is_some_and(|fault| self.reaches_back(&fault));
+        // axis has the fault; what the drives were commanded after a fault is not recorded.
+        let is_latched = now.fault || report.fault.is_some();
         let differs = |axis: usize| now.homed[axis] != report.homed[axis];
-        if (0..AXES).any(|axis| differs(axis) && (is_close || self.compares_since_before(axis))) {
+        if (0..AXES).any(|axis| differs(axis) && (is_latched || self.compares_since_before(axis))) {
             return Some(fault);
         }
         if !self.knows_fault || now.fault == report.fault.is_some() {
