@@ -4,7 +4,7 @@ use crate::STILL_RAD_S;
 use crate::robot::{Robot, path};
 use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::config::Config;
-use etherpen::ethercat::diagnostics::ServiceRequest;
+use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest};
 use etherpen::ethercat::state::AlState as Wanted;
 use etherpen::messages::Command;
 use host_tools::cell::{AlState, CellOptions, Fault as CellFault, Product, SiiFault};
@@ -143,6 +143,52 @@ fn a_reference_clock_that_was_off_for_a_moment_is_followed_again() {
             println!("    {:?}", robot.fault());
             come_back(&mut robot, ACKNOWLEDGEMENTS_MAX);
         }
+    }
+}
+
+/// Differences of the slaves' clocks from the reference as their own registers show them, ns.
+fn differences_ns(robot: &mut Robot) -> Vec<i32> {
+    let mut differences = Vec::new();
+    for slave in 0..4 {
+        robot.bus_answers.clear();
+        robot.ask(ServiceRequest::Slave { slave });
+        robot.run_until("the slave is described", |robot| !robot.bus_answers.is_empty());
+        match &robot.bus_answers[0] {
+            Ok(ServiceReply::Slave(info)) => differences.extend(info.clock.map(|clock| clock.difference_ns)),
+            other => panic!("{other:?}"),
+        }
+    }
+    differences
+}
+
+#[test]
+fn drives_that_were_off_or_away_for_long_get_the_time_back_with_one_acknowledgement() {
+    let cases: [&[(CellFault, CellFault)]; 3] = [
+        &[
+            (CellFault::Power(3, 10_000), CellFault::Power(3, 1)),
+            (CellFault::Power(4, 10_000), CellFault::Power(4, 1)),
+        ],
+        &[(CellFault::Power(1, 10_000), CellFault::Power(1, 1))],
+        &[(CellFault::Remove(1), CellFault::Insert(1))],
+    ];
+    for (number, faults) in cases.into_iter().enumerate() {
+        println!("{faults:?}");
+        let mut robot = with(true).enabled().in_a_drawing();
+        for (fault, _) in faults {
+            robot.inject(*fault);
+        }
+        robot.run(10_200);
+        if let (2, [(_, inserted)]) = (number, faults) {
+            robot.inject(*inserted);
+            robot.run(200);
+        }
+        println!("    {:?}", robot.fault());
+        assert_eq!(acknowledge(&mut robot), None);
+        let differences = differences_ns(&mut robot);
+        println!("    differences {differences:?} ns");
+        assert_eq!(differences.len(), 4);
+        assert!(differences.iter().all(|off_ns| off_ns.abs() < 1_000));
+        assert_eq!(come_back(&mut robot, 0), 0);
     }
 }
 

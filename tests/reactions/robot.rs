@@ -4,7 +4,7 @@ use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::board::PortState;
 use etherpen::config::Config;
 use etherpen::control::feedback::COMPARISONS;
-use etherpen::ethercat::diagnostics::ServiceRequest;
+use etherpen::ethercat::diagnostics::{ServiceRequest, ServiceResult};
 use etherpen::link::frame::{Decoder, FRAME_BYTES_MAX, decode, encode};
 use etherpen::link::message::PathAck;
 use etherpen::measurement::MeasurementRequest;
@@ -109,6 +109,8 @@ pub(crate) struct Robot {
     /// Refused vertices.
     pub(crate) refused: Vec<etherpen::motion::Refusal>,
     answers: Vec<(u16, Result<(), Refusal>)>,
+    /// Answers to bus requests.
+    pub(crate) bus_answers: Vec<ServiceResult>,
     /// The last field: the emulator ends when nobody answers it.
     _emulator: Option<Emulator>,
 }
@@ -178,6 +180,7 @@ impl Robot {
             configured: Vec::new(),
             refused: Vec::new(),
             answers: Vec::new(),
+            bus_answers: Vec::new(),
             _emulator: emulator,
         }
     }
@@ -415,11 +418,8 @@ impl Robot {
                 self.status = Some(status);
             }
             Event::Samples { samples, .. } => self.samples.extend(samples),
-            Event::Connected(_)
-            | Event::VersionRefused { .. }
-            | Event::Restarted
-            | Event::Bus(_)
-            | Event::Measured(_) => {}
+            Event::Connected(_) | Event::VersionRefused { .. } | Event::Restarted | Event::Measured(_) => {}
+            Event::Bus(result) => self.bus_answers.push(result),
         }
     }
 }

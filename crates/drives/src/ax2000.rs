@@ -49,6 +49,7 @@ pub static AX2000: DriveDescription = DriveDescription {
         inputs: 0x1140,
     },
     clocks: Clocks::SYNC0,
+    shows_mode_early: true,
     settings,
 };
 
@@ -58,7 +59,7 @@ fn settings(axis: &DriveSettings) -> Option<SettingList> {
         // Interpolation period: 1 times 10^-3 s.
         Setting::new(0x60C2, 1, 1, 1),
         Setting::new(0x60C2, 2, -3_i32 as u32, 1),
-        Setting::of(QUICK_STOP_DECELERATION, quick_stop, 4).verified(),
+        Setting::of(QUICK_STOP_DECELERATION, quick_stop, 4).rounded(),
     ];
     SettingList::from_slice(&list).ok()
 }

@@ -1,6 +1,9 @@
 //! Configuration of a drive in PREOP: process data of its mode, mode of operation, settings, and the layout.
 //!
-//! Invariant: the layout follows the actual lists of the drive; a missing value and a wrong mode are always detected.
+//! Not every drive shows its mode in PREOP: of those it is only checked that they have taken it, and the mode in effect
+//! in each cycle, where the process data have it.
+//!
+//! Invariant: the layout follows the actual lists of the drive; a missing value is always detected.
 
 use crate::layout::LayoutBuilder;
 use crate::layout::ProcessLayout;
@@ -34,7 +37,11 @@ pub(crate) async fn used<F: SlaveFactory<Layout = ProcessLayout>, const MESSAGE:
     let outputs_taken = slave.assign(Direction::Outputs, &mode.outputs).await?;
     let inputs_taken = slave.assign(Direction::Inputs, &mode.inputs).await?;
     let operation_mode = Setting::of(OPERATION_MODE, i32::from(mode.operation_mode).cast_unsigned(), 1);
-    slave.write(&operation_mode.shown_by(OPERATION_MODE_DISPLAY)).await?;
+    let checked = match kind.shows_mode_early {
+        true => operation_mode.shown_by(OPERATION_MODE_DISPLAY),
+        false => operation_mode.verified(),
+    };
+    slave.write(&checked).await?;
     for setting in &settings {
         slave.write(setting).await?;
     }

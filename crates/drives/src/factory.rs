@@ -13,6 +13,11 @@ use etherpen_ethercat::driver::{DeviceDescription, ProcessData, SlaveFactory};
 use etherpen_ethercat::error::BusError;
 use etherpen_ethercat::wire::sii::Identity;
 
+/// Device type: the profile of drives, and the bits of the kinds that are used.
+const PROFILE: u32 = 402;
+const SERVO: u32 = 1 << 17;
+const STEPPER: u32 = 1 << 18;
+
 /// All drive types.
 pub static DRIVES: [DriveKind; 3] = [&ax2000::AX2000, &akd::AKD, &generic::GENERIC];
 
@@ -26,9 +31,14 @@ pub fn drive_kind(identity: &Identity) -> Option<DriveKind> {
 }
 
 /// The drive type of a device type (object 0x1000); `None` if it is not a drive.
+///
+/// CiA 402: the profile in bits 0 to 15; bit 17 is a servo drive, bit 18 a stepper. Devices set other bits as well.
 pub fn drive_kind_by_type(device_type: u32) -> Option<DriveKind> {
-    let device_type = Recognition::DeviceType(device_type);
-    DRIVES.into_iter().find(|kind| kind.recognition == device_type)
+    let is_drive = device_type & 0xFFFF == PROFILE && device_type & (SERVO | STEPPER) != 0;
+    let device_type = Recognition::DeviceType(generic::DEVICE_TYPE_SERVO);
+    DRIVES
+        .into_iter()
+        .find(|kind| is_drive && kind.recognition == device_type)
 }
 
 /// Servo drives as the members of a bus: the first drive in the chain is member 0.
@@ -118,8 +128,14 @@ mod tests {
 
     #[test]
     fn servo_drives_are_known_by_their_device_type_and_others_are_not() {
-        assert_eq!(drive_kind_by_type(0x0002_0192), Some(&generic::GENERIC));
-        assert_eq!(drive_kind_by_type(0x0001_0192), None);
+        // Servo, servo with a maker's bits, stepper, servo and inverter.
+        for servo in [0x0002_0192, 0xFF82_0192, 0x0004_0192, 0x0003_0192] {
+            assert_eq!(drive_kind_by_type(servo), Some(&generic::GENERIC), "{servo:x}");
+        }
+        // Inverter, inputs and outputs of CiA 401, a modular device, none.
+        for other in [0x0001_0192, 0x0002_0191, 0x0000_1389, 0] {
+            assert_eq!(drive_kind_by_type(other), None, "{other:x}");
+        }
     }
 
     #[test]

@@ -1,13 +1,13 @@
 //! Any servo drive of CiA 402 in cyclic synchronous velocity and cyclic synchronous torque.
 //!
 //! Used for every product that has no description of its own and reports in object 0x1000 that it is a servo drive of
-//! profile 402. The entries below are mapped into the first process data object of each direction. A drive that keeps
+//! profile 402, servo or stepper. The entries below are mapped into the first process data object of each direction. A drive that keeps
 //! its own mapping is used if the mapping contains the required objects. Objects, modes and units: CiA 402; a torque
 //! digit is a thousandth of the motor's rated torque, velocity digits are as configured.
 
 use super::{
-    CONTROL_WORD, Clocks, Digits, DriveDescription, DriveSettings, ModeDescription, POSITION, QUICK_STOP_DECELERATION,
-    Recognition, STATUS_WORD, SettingList, TORQUE, quick_stop_increments_s2,
+    CONTROL_WORD, Clocks, Digits, DriveDescription, DriveSettings, ModeDescription, OPERATION_MODE_DISPLAY, POSITION,
+    QUICK_STOP_DECELERATION, Recognition, STATUS_WORD, SettingList, TORQUE, quick_stop_increments_s2,
 };
 use etherpen_ethercat::driver::{Entry, PdoChoice, Setting, Windows};
 use etherpen_ethercat::wire::coe::Object;
@@ -36,7 +36,14 @@ pub static GENERIC: DriveDescription = DriveDescription {
         operation_mode: CYCLIC_VELOCITY,
         demand: TARGET_VELOCITY,
         outputs: PdoChoice::written(0x1600, &[Entry::new(CONTROL_WORD, 16), Entry::new(TARGET_VELOCITY, 32)]),
-        inputs: PdoChoice::written(0x1A00, &[Entry::new(STATUS_WORD, 16), Entry::new(POSITION, 32)]),
+        inputs: PdoChoice::written(
+            0x1A00,
+            &[
+                Entry::new(STATUS_WORD, 16),
+                Entry::new(POSITION, 32),
+                Entry::new(OPERATION_MODE_DISPLAY, 8),
+            ],
+        ),
         digits: Digits::Velocity,
     }),
     torque: Some(ModeDescription {
@@ -49,6 +56,7 @@ pub static GENERIC: DriveDescription = DriveDescription {
                 Entry::new(STATUS_WORD, 16),
                 Entry::new(POSITION, 32),
                 Entry::new(TORQUE, 16),
+                Entry::new(OPERATION_MODE_DISPLAY, 8),
             ],
         ),
         digits: Digits::RatedTorque(RATED_TORQUE_DIGITS),
@@ -58,6 +66,7 @@ pub static GENERIC: DriveDescription = DriveDescription {
         inputs: 0x1400,
     },
     clocks: Clocks::SYNC0,
+    shows_mode_early: false,
     settings,
 };
 
@@ -69,7 +78,7 @@ pub(super) fn settings(axis: &DriveSettings) -> Option<SettingList> {
         Setting::new(0x60C2, 1, 1, 1).optional(),
         Setting::new(0x60C2, 2, -3_i32 as u32, 1).optional(),
         Setting::new(0x605A, 0, QUICK_STOP_RAMP_THEN_OFF, 2).optional(),
-        Setting::of(QUICK_STOP_DECELERATION, quick_stop, 4).verified(),
+        Setting::of(QUICK_STOP_DECELERATION, quick_stop, 4).rounded(),
     ];
     SettingList::from_slice(&list).ok()
 }

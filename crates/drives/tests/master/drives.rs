@@ -31,6 +31,7 @@ fn generic_drive() -> FakeSlave {
         ((0x1A00, 1), vec![0; 4]),
         ((0x1A00, 2), vec![0; 4]),
         ((0x1A00, 3), vec![0; 4]),
+        ((0x1A00, 4), vec![0; 4]),
         ((0x1C12, 0), vec![0]),
         ((0x1C12, 1), vec![0; 2]),
         ((0x1C13, 0), vec![0]),
@@ -110,7 +111,8 @@ fn an_unknown_servo_drive_is_used_as_the_generic_one_with_its_mapping_written() 
             assert_eq!(slave.objects[&(0x1A00, 2)], 0x6064_0020_u32.to_le_bytes());
             assert_eq!(slave.objects[&(0x1C13, 1)], [0x00, 0x1A]);
             assert_eq!(slave.objects[&(0x6060, 0)], [9]);
-            assert_eq!((slave.manager(2).length, slave.manager(3).length), (6, 6));
+            assert_eq!(slave.objects[&(0x1A00, 3)], 0x6061_0008_u32.to_le_bytes());
+            assert_eq!((slave.manager(2).length, slave.manager(3).length), (6, 7));
         }
         let role = bench.exchange.plan().slaves[3].role.unwrap();
         assert_eq!(role.device, &generic::GENERIC);
@@ -123,6 +125,15 @@ fn torque_takes_other_objects_of_the_same_drives() {
     operational(AxisMode::Torque, segment(generic_drive), |bench| {
         assert_eq!(bench.segment.slaves[0].objects[&(0x6060, 0)], [10]);
         assert_eq!(encoded(bench), [0x0F, 0, 0x34, 0x12]);
+        assert_eq!(bench.exchange.plan().slaves[0].input_length, 9);
+    });
+    let with_three_entries = || {
+        let mut slave = generic_drive();
+        slave.objects.remove(&(0x1A00, 4));
+        slave
+    };
+    operational(AxisMode::Torque, segment(with_three_entries), |bench| {
+        assert_eq!(bench.segment.slaves[0].objects[&(0x1A00, 0)], [3]);
         assert_eq!(bench.exchange.plan().slaves[0].input_length, 8);
     });
     operational(AxisMode::Torque, FakeSegment::drives(4), |bench| {

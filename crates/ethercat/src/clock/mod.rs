@@ -313,7 +313,7 @@ pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
     Ok(clocks)
 }
 
-/// Sets the bus time of a slave that was switched off. The other slaves keep their time, even if this slave is the
+/// Sets the bus time of a slave that was switched off or has heard nothing. The other slaves keep their time, even if this slave is the
 /// reference; if no other has it, this one continues it.
 ///
 /// # Errors
@@ -327,10 +327,13 @@ pub async fn restore<const SLAVES: usize, const MESSAGE: usize>(
     let Some(station) = stations.get(position).filter(|_| clocks.has_clock(position)) else {
         return Ok(());
     };
-    clocks.was_off(position);
     measure(port, stations, clocks).await?;
     let is_source = |slave: &SlaveClock| slave.width.is_some() && slave.measured && slave.is_set;
-    let source = clocks.slaves.iter().position(is_source);
+    let mut others = clocks.slaves.iter().enumerate().filter(|(other, _)| *other != position);
+    let source = others.find(|(_, slave)| is_source(slave)).map(|(other, _)| other);
+    if source.is_none() && clocks.is_set(position) {
+        return Ok(());
+    }
     let slave = clocks.slaves.get(position).copied().unwrap_or_default();
     let continued_ns = || clocks.continued_ns(port.now_ms()).wrapping_add(slave.delay_ns.into());
     let offset_ns = source

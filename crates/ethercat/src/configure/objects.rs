@@ -93,9 +93,15 @@ pub struct Setting {
     pub length: u8,
     /// The object that has to read back as this value afterwards, if any.
     pub verify: Option<Object>,
+    /// Whether the device may round the value: then it reads back within [`ROUNDING_SHARE`].
+    pub rounded: bool,
     /// Whether the device may refuse the object.
     pub optional: bool,
 }
+
+/// Largest difference of a rounded value from the one that was written, as a part of it: devices calculate in units of
+/// their own.
+pub const ROUNDING_SHARE: u32 = 50;
 
 impl Setting {
     /// A setting that is written and not read back.
@@ -110,6 +116,7 @@ impl Setting {
             value,
             length,
             verify: None,
+            rounded: false,
             optional: false,
         }
     }
@@ -120,6 +127,20 @@ impl Setting {
             verify: Some(self.object),
             ..self
         }
+    }
+
+    /// This setting, read back from the object itself, where the device may have rounded it.
+    pub const fn rounded(self) -> Self {
+        Self {
+            rounded: true,
+            ..self.verified()
+        }
+    }
+
+    /// Whether what was read back is what was written.
+    pub const fn is_shown_by(&self, expected: u32, actual: u32) -> bool {
+        let off = expected.abs_diff(actual);
+        off == 0 || self.rounded && off <= expected / ROUNDING_SHARE
     }
 
     /// This setting, read back from another object.

@@ -92,11 +92,14 @@ impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
         let mut taken = true;
         let count = Object::new(choice.pdo, 0);
         if choice.written && offer(dictionary, count, 0, 1).await? {
-            for (sub, entry) in (1..).zip(choice.entries) {
-                let object = Object::new(choice.pdo, sub);
-                taken &= offer(dictionary, object, entry.mapping(), 4).await?;
+            // An entry that the device cannot map is left out.
+            let mut mapped = 0;
+            for entry in choice.entries {
+                let object = Object::new(choice.pdo, mapped + 1);
+                mapped += u8::from(offer(dictionary, object, entry.mapping(), 4).await?);
             }
-            taken &= offer(dictionary, count, choice.entries.len() as u32, 1).await?;
+            taken &= usize::from(mapped) == choice.entries.len();
+            taken &= offer(dictionary, count, mapped.into(), 1).await?;
         } else if choice.written {
             taken = false;
         }
@@ -121,7 +124,7 @@ impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
         let mut actual = 0;
         for _ in 0..VERIFY_TRIES_MAX {
             actual = dictionary.read(object, setting.length).await?;
-            if actual == expected {
+            if setting.is_shown_by(expected, actual) {
                 return Ok(());
             }
         }

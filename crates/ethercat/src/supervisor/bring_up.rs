@@ -277,7 +277,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let at = |step| Failure::of(slave.position, step);
         let result = self.await_inputs(&slave).await;
         result.map_err(at(Step::CyclicData))?;
-        if self.clocks.has_clock(usize::from(slave.position)) {
+        // The clock that is distributed is compared with none.
+        if self.clocks.has_clock(usize::from(slave.position)) && self.distributor() != Some(number) {
             let result = clock::await_agreement(&mut self.port, slave.station()).await;
             result.map_err(at(Step::Clocks))?;
         }

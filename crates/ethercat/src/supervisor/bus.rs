@@ -209,6 +209,12 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         self.clocks.reference_clock(&self.stations(), answers)
     }
 
+    /// Number of the slave whose clock's time is distributed.
+    pub(super) fn distributor(&self) -> Option<usize> {
+        let station = self.reference_clock()?.station;
+        self.slaves.iter().position(|slave| slave.station() == station)
+    }
+
     /// Which slaves are not lost.
     pub(super) fn answering(&self) -> Vec<bool, SLAVES> {
         let is_there = |slave: &Slave<F>| slave.condition != Condition::Lost;

@@ -168,9 +168,10 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     }
 
     /// A slave's clock, if it has one.
-    pub(super) async fn clock(&mut self, station: u16) -> Result<Option<ClockInfo>, BusError> {
+    pub(super) async fn clock(&mut self, number: usize, station: u16) -> Result<Option<ClockInfo>, BusError> {
         let features = self.port.read_u16(station, register::FEATURES).await?;
-        if features & register::FEATURE_CLOCKS == 0 {
+        let time = Request::read(Command::Fprd, Address::station(station, register::DC_SYSTEM_TIME), 4);
+        if features & register::FEATURE_CLOCKS == 0 || self.port.answered(&time).await?.1 == 0 {
             return Ok(None);
         }
         let delay = self.port.read(station, register::DC_DELAY, 4).await?;
@@ -178,7 +179,11 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         Ok(Some(ClockInfo {
             is_64_bit: features & register::FEATURE_CLOCKS_64 != 0,
             delay_ns: read_u32(&delay, 0),
-            difference_ns: register::time_difference_ns(read_u32(&difference, 0)),
+            // The clock that is distributed is compared with none.
+            difference_ns: match self.distributor() == Some(number) {
+                true => 0,
+                false => register::time_difference_ns(read_u32(&difference, 0)),
+            },
         }))
     }
 }

@@ -23,6 +23,8 @@ use heapless::Vec;
 /// Most places of a chain that are searched.
 pub(super) const PLACES_MAX: usize = 64;
 
+/// Difference of a clock from the distributed time that its control loop removes within a second, ns.
+const NEAR_NS: u32 = 20_000;
 /// How often a chain that changes meanwhile is read.
 const SETTLED_TRIES_MAX: u32 = 5;
 
@@ -50,13 +52,10 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             // The slave goes through INIT in any case.
             slave.report = Default::default();
         }
-        // One that has kept its address has kept its time.
-        if !self.clocks.is_set(number) {
-            let stations = self.stations();
-            clock::restore(&mut self.port, &stations, &mut self.clocks, number)
-                .await
-                .map_err(at(Step::Clocks))?;
-        }
+        let stations = self.stations();
+        clock::restore(&mut self.port, &stations, &mut self.clocks, number)
+            .await
+            .map_err(at(Step::Clocks))?;
         self.reach_safe_operational(number).await?;
         self.send_plan().await;
         self.reach_operational(number).await
@@ -293,6 +292,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let report = state::acknowledge(&mut self.port, slave.station())
             .await
             .map_err(at(Step::Operational))?;
+        self.is_near_the_time(number).await.map_err(at(Step::Clocks))?;
         if report.is(AlState::Operational) || report.is(AlState::SafeOperational) {
             return self.reach_operational(number).await;
         }
@@ -302,6 +302,26 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             code: report.code,
         };
         Err(at(Step::Operational)(error))
+    }
+
+    /// Whether a slave's clock is so near the distributed time that its control loop gets there: one that has heard
+    /// nothing for seconds is set anew instead, on its way through INIT.
+    async fn is_near_the_time(&mut self, number: usize) -> Result<(), BusError> {
+        let Some(slave) = self.slaves.get(number).copied() else {
+            return Ok(());
+        };
+        if !self.clocks.has_clock(number) || self.distributor() == Some(number) {
+            return Ok(());
+        }
+        let actual_ns = clock::difference_ns(&mut self.port, slave.station()).await?;
+        match actual_ns.unsigned_abs() <= NEAR_NS {
+            true => Ok(()),
+            false => Err(BusError::ClockDifference {
+                expected_ns: NEAR_NS,
+                actual_ns,
+                waited_ms: 0,
+            }),
+        }
     }
 
     /// Whether the slave at a place is between the neighbours that it had before.

@@ -117,7 +117,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             answering: al.slaves,
             al_status: al.status,
             operational: running && self.is_operational(),
-            reference_clock: self.clocks.reference().map(|number| number as u8),
+            reference_clock: self.distributor().map(|number| number as u8),
         }
     }
 
@@ -163,7 +163,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             output_bytes: share.output_length,
             input_bytes: share.input_length,
             ports: self.ports(number),
-            clock: self.clock(station).await?,
+            clock: self.clock(number, station).await?,
             emergency: slave.emergency,
         })
     }
