@@ -88,6 +88,8 @@ pub struct Sampler<'a, G = RobotGroup<'a>> {
     missed: u32,
     /// Station of the reference clock that the timer follows.
     clock: Option<u16>,
+    /// Number of the time to which the steering belongs.
+    time_number: Option<u8>,
     steering: ClockSteering,
     released_late_ns: u32,
     timer_correction_ns: i32,
@@ -133,6 +135,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             late: 0,
             missed: 0,
             clock: None,
+            time_number: None,
             steering: ClockSteering::new(PERIOD_NS),
             released_late_ns: 0,
             timer_correction_ns: 0,
@@ -294,19 +297,31 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         core::mem::take(&mut self.timer_correction_ns)
     }
 
-    /// Takes this cycle's time of the bus clock. A plan with another reference clock restarts the steering.
+    /// Takes this cycle's time of the bus clock. Another reference clock has the same time, so that the phase stays,
+    /// unless the clocks have been set anew.
     fn steer(&mut self) {
         let state = self.group.bus_state();
         let clock = state.reference_clock;
         if clock != self.clock {
-            self.clock = clock;
-            self.steering = ClockSteering::new(PERIOD_NS);
+            self.follow_clock(clock, state.time_number);
         }
-        if self.clock.is_some() {
-            self.timer_correction_ns = self.steering.step(ClockReading {
+        self.timer_correction_ns = match self.clock {
+            Some(_) => self.steering.step(ClockReading {
                 reference_ns: state.clock_ns,
                 elapsed_ns: self.released_late_ns,
-            });
+            }),
+            None => self.steering.coast(),
+        };
+    }
+
+    #[cold]
+    fn follow_clock(&mut self, clock: Option<u16>, time_number: u8) {
+        self.clock = clock;
+        if clock.is_some() && self.time_number == Some(time_number) {
+            self.steering.restart();
+        } else if clock.is_some() {
+            self.time_number = Some(time_number);
+            self.steering = ClockSteering::new(PERIOD_NS);
         }
     }
 
@@ -462,8 +477,8 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             home_lost: self.home_lost,
             al_status: self.group.bus_state().al_status,
             clock: self
-                .steering
-                .fault(u32::from(self.bus.clock_error_max_us) * 1_000)
+                .clock
+                .and_then(|_| self.steering.fault(u32::from(self.bus.clock_error_max_us) * 1_000))
                 .map(Fault::from),
             power,
             following: following || underrun,

@@ -134,6 +134,7 @@ where
         BusState {
             al_status: self.exchange.al_status().map(|al| al.status as u8),
             reference_clock: self.exchange.plan().clock.map(|clock| clock.station),
+            time_number: self.exchange.plan().clock.map_or(0, |clock| clock.time_number),
             // The low half is enough for a phase; 32-bit clocks have no other.
             clock_ns: self.exchange.clock_ns().map(|time_ns| time_ns as u32),
         }

@@ -19,6 +19,8 @@ pub struct BusState {
     pub al_status: Option<u8>,
     /// Station of the reference clock; `None` without distributed clocks.
     pub reference_clock: Option<u16>,
+    /// Number of its time, wrapping: a new one has nothing to do with the one before.
+    pub time_number: u8,
     /// The reference clock's time, ns, low 32 bits; `None` if it did not arrive in this cycle.
     pub clock_ns: Option<u32>,
 }

@@ -44,6 +44,7 @@ impl<const MEMBERS: usize> MemoryGroup<MEMBERS> {
             state: BusState {
                 al_status: None,
                 reference_clock: None,
+                time_number: 0,
                 clock_ns: None,
             },
             arrived: false,
@@ -114,6 +115,7 @@ impl<const MEMBERS: usize> IoTrigger for MemoryGroup<MEMBERS> {
             true => self.state,
             false => BusState {
                 reference_clock: self.state.reference_clock,
+                time_number: self.state.time_number,
                 ..BusState::default()
             },
         }

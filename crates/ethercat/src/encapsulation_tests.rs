@@ -51,6 +51,8 @@ fn plan(exchange: ExchangeKind) -> CyclicPlan<NoDrivers, SLAVES> {
             station: 0x1001,
             slaves: 4,
             wide: true,
+            is_spread: true,
+            time_number: 0,
         }),
         al_bits_ignored: 0,
     }

@@ -50,7 +50,8 @@ pub struct CyclicSlave<F: SlaveFactory> {
     pub generation: u8,
 }
 
-/// The reference clock: its time is read in each cycle and written to the slaves behind it.
+/// The reference clock: its time is read in each cycle, and written to the slaves behind it unless clocks before it are
+/// being set.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ReferenceClock {
     /// Its station address.
@@ -59,6 +60,10 @@ pub struct ReferenceClock {
     pub slaves: u16,
     /// Whether all participating clocks have 64 bits; otherwise the low 32 bits are sent.
     pub wide: bool,
+    /// Whether its time is written to the others; otherwise only the reference takes part.
+    pub is_spread: bool,
+    /// Number of the time, wrapping: with a new one the clocks have been set anew, without regard to the time before.
+    pub time_number: u8,
 }
 
 impl ReferenceClock {
@@ -270,6 +275,8 @@ mod tests {
                 station: 0x1001,
                 slaves: 4,
                 wide: true,
+                is_spread: true,
+                time_number: 0,
             }),
             ..CyclicPlan::default()
         }

@@ -191,7 +191,8 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         }
         let Some(clock) = clock else { return };
         let address = Address::station(clock.station, register::DC_SYSTEM_TIME);
-        if let Some(data) = self.push(Command::Frmw, address, clock.length()) {
+        let command = if clock.is_spread { Command::Frmw } else { Command::Fprd };
+        if let Some(data) = self.push(command, address, clock.length()) {
             self.clock_header = self.header(data);
             self.clock = Some(clock);
             self.status = self.status.map(|header| header | MORE_HEADER);

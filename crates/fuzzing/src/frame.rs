@@ -66,6 +66,8 @@ impl Choice {
                 station: 0x1001,
                 slaves: 4,
                 wide: self.flags & 16 != 0,
+                is_spread: self.flags & 16 == 0,
+                time_number: 0,
             }),
             al_bits_ignored: 0,
         }

@@ -82,6 +82,10 @@ pub struct BusClocks<const SLAVES: usize> {
     pub period_ns: u32,
     /// Phase of the frames at the reference, ns within the period.
     pub phase_ns: u32,
+    /// Whether clocks before the reference are being set: it only shows its time meanwhile.
+    is_held: bool,
+    /// Number of the time, see [`ReferenceClock::time_number`].
+    time_number: u8,
     /// The reference's time in 64 bits when it was last read, ns; `None` before.
     time_ns: Option<u64>,
     /// The master's time then, ms.
@@ -116,7 +120,18 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
         let (slaves, wide) = clocks.fold((0, true), |(slaves, wide), width| {
             (slaves + 1, wide && width == Width::Bits64)
         });
-        Some(ReferenceClock { station, slaves, wide })
+        Some(ReferenceClock {
+            station,
+            slaves: if self.is_held { 1 } else { slaves },
+            wide,
+            is_spread: !self.is_held,
+            time_number: self.time_number,
+        })
+    }
+
+    /// Holds the distribution of the time while a clock before the present reference is set, or goes on.
+    pub fn hold(&mut self, is_held: bool) {
+        self.is_held = is_held;
     }
 
     /// Whether a slave has no clock, or one with the time of the bus.
@@ -284,7 +299,7 @@ fn open_ports(status: u16) -> u8 {
 }
 
 /// Makes all clocks agree: measures, writes offsets and delays, and distributes the reference's time until the control
-/// loops start to follow. Does nothing on a bus without clocks.
+/// loops start to follow. Does nothing on a bus without clocks. `time_number` is that of the time which begins.
 ///
 /// # Errors
 /// As [`AcyclicPort::send_until_counted`].
@@ -292,9 +307,10 @@ pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
     period_ns: u32,
+    time_number: u8,
 ) -> Result<BusClocks<SLAVES>, BusError> {
     let mut clocks: BusClocks<SLAVES> = discover(port, stations).await?;
-    clocks.period_ns = period_ns;
+    (clocks.period_ns, clocks.time_number) = (period_ns, time_number);
     let Some(reference) = clocks.reference() else {
         return Ok(clocks);
     };

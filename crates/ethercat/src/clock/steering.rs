@@ -96,6 +96,13 @@ impl ClockSteering {
         (self.missing_cycles, self.locked_cycles) = (0, 0);
     }
 
+    /// Passes a cycle in which no clock is to be heard; returns the correction as [`Self::step`].
+    pub fn coast(&mut self) -> i32 {
+        let period_ns = self.period_ns.get();
+        self.expected_ns = self.expected_ns.map(|expected| expected.wrapping_add(period_ns));
+        self.integral_ns()
+    }
+
     /// Phase error of the last reading, ns: positive when the sample was late.
     pub const fn error_ns(&self) -> i32 {
         self.error_ns

@@ -182,7 +182,7 @@ impl Chain {
     }
 
     fn set_up(&mut self) -> BusClocks<16> {
-        self.run(async |mut port: AcyclicPort<'static, 64>| set_up(&mut port, &STATIONS, PERIOD_NS).await)
+        self.run(async |mut port: AcyclicPort<'static, 64>| set_up(&mut port, &STATIONS, PERIOD_NS, 0).await)
             .expect("the set-up")
     }
 
@@ -376,7 +376,7 @@ fn sync_starts_at_its_shift_behind_the_frames_after_an_hour_with_clocks_of_any_w
         let begin_ns = chain.true_ns;
         let start_ns = chain
             .run(async |mut port: AcyclicPort<'static, 64>| -> Result<u64, BusError> {
-                let mut clocks: BusClocks<16> = set_up(&mut port, &STATIONS, PERIOD_NS).await?;
+                let mut clocks: BusClocks<16> = set_up(&mut port, &STATIONS, PERIOD_NS, 0).await?;
                 for _ in 0..3_600 {
                     port.wait_ms(999).await;
                     follow(&mut port, &STATIONS, &mut clocks, |_| true).await;

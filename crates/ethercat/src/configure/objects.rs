@@ -93,7 +93,7 @@ pub struct Setting {
     pub length: u8,
     /// The object that has to read back as this value afterwards, if any.
     pub verify: Option<Object>,
-    /// Whether the device may round the value: then it reads back within [`ROUNDING_SHARE`].
+    /// Whether the device may round the value: then it reads back within 2 %.
     pub rounded: bool,
     /// Whether the device may refuse the object.
     pub optional: bool,
@@ -101,7 +101,7 @@ pub struct Setting {
 
 /// Largest difference of a rounded value from the one that was written, as a part of it: devices calculate in units of
 /// their own.
-pub const ROUNDING_SHARE: u32 = 50;
+pub(crate) const ROUNDING_SHARE: u32 = 50;
 
 impl Setting {
     /// A setting that is written and not read back.

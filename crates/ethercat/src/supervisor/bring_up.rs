@@ -65,7 +65,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return Ok(());
         }
         let stations = self.stations();
-        self.clocks = clock::set_up(&mut self.port, &stations, self.setup.cycle_ns)
+        self.time_number = self.time_number.wrapping_add(1);
+        self.clocks = clock::set_up(&mut self.port, &stations, self.setup.cycle_ns, self.time_number)
             .await
             .map_err(Failure::bus(Step::Clocks))?;
         self.send_plan().await;

@@ -21,6 +21,8 @@ use heapless::spsc::Producer;
 
 /// Longest wait for the application to take an event, ms.
 const EVENT_TIMEOUT_MS: u32 = 50;
+/// How long it takes at most until a plan is in force, ms.
+const PLAN_MS: u32 = 3;
 /// Slaves inspected in one frame.
 pub(super) const LOOK_MAX: usize = IN_FLIGHT_MAX;
 
@@ -32,6 +34,8 @@ pub(super) struct Bus<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     pub(super) setup: BusSetup<F>,
     pub(super) slaves: Vec<Slave<F>, SLAVES>,
     pub(super) clocks: BusClocks<SLAVES>,
+    /// Number of the clocks' present time.
+    pub(super) time_number: u8,
     /// Number of slaves that were in the chain at bring-up; they come first, in chain order.
     pub(super) ordered: usize,
     pub(super) generation: u8,
@@ -55,6 +59,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             setup: BusSetup::default(),
             slaves: Vec::new(),
             clocks: BusClocks::default(),
+            time_number: 0,
             ordered: 0,
             generation: 0,
             worked_on: None,
@@ -239,7 +244,35 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             self.inspect(before..before + 1).await;
         }
         self.worked_on = number;
+        self.clocks.hold(false);
         self.send_plan().await;
+    }
+
+    /// Sets the clock of a slave that was off or has heard nothing. Meanwhile no time is written to a slave before the
+    /// reference: it would be that of the cycle before.
+    pub(super) async fn restore_clock(&mut self, number: usize) -> Result<(), BusError> {
+        if !self.clocks.has_clock(number) {
+            return Ok(());
+        }
+        self.clocks.hold(true);
+        self.send_plan().await;
+        self.port.wait_ms(PLAN_MS).await;
+        let stations = self.stations();
+        let restored = clock::restore(&mut self.port, &stations, &mut self.clocks, number).await;
+        if let Some(slave) = self
+            .slaves
+            .get_mut(number)
+            .filter(|slave| slave.condition == Condition::Lost)
+        {
+            // It answers; from now on its clock may be the one that is distributed.
+            slave.condition = match slave.member {
+                Some(_) => Condition::Configuring,
+                None => Condition::Unused,
+            };
+        }
+        self.clocks.hold(false);
+        self.send_plan().await;
+        restored
     }
 
     /// Whether work on a slave is in progress.

@@ -351,8 +351,11 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 allowed: inbox::STATUS_MASK,
                 ..expected
             };
-            let work = pin!(bus.rescan());
-            let result = inbox.guard(expected, false, work).await;
+            let result = {
+                let work = pin!(bus.rescan());
+                inbox.guard(expected, false, work).await
+            };
+            bus.clocks.hold(false);
             // A chain that has changed meanwhile is looked through again at the next suspicion; a slave that never
             // answers as it should does not keep the bus busy for ever.
             self.rescans_failed = match result {

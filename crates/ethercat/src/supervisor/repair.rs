@@ -52,10 +52,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             // The slave goes through INIT in any case.
             slave.report = Default::default();
         }
-        let stations = self.stations();
-        clock::restore(&mut self.port, &stations, &mut self.clocks, number)
-            .await
-            .map_err(at(Step::Clocks))?;
+        self.restore_clock(number).await.map_err(at(Step::Clocks))?;
         self.reach_safe_operational(number).await?;
         self.send_plan().await;
         self.reach_operational(number).await

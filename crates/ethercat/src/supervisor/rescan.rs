@@ -8,7 +8,6 @@
 //!
 //! Invariant: the rescan changes no slave's state and gives no slave process data.
 
-use super::super::clock;
 use super::super::configure::discovery::{STATION_BASE, STATION_TEMPORARY};
 use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
@@ -92,9 +91,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             Some(station) => {
                 self.clocks.was_off(number);
                 self.name(station).await?;
-                let stations = self.stations();
                 // Until its clock is set, another one distributes its time.
-                let _ = clock::restore(&mut self.port, &stations, &mut self.clocks, number).await;
+                let _ = self.restore_clock(number).await;
                 self.inspect(number..number + 1).await;
                 Ok(station)
             }
