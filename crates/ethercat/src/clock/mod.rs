@@ -147,6 +147,13 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
         }
     }
 
+    /// Notes that a slave's clock has been seen to have the time of the bus.
+    pub fn found_in_time(&mut self, position: usize) {
+        if let Some(slave) = self.slaves.get_mut(position) {
+            slave.is_set = true;
+        }
+    }
+
     /// The time of the bus at `now_ms` according to the master's own time, ns; `None` before it was read.
     fn expected_ns(&self, now_ms: u32) -> Option<u64> {
         let passed_ns = u64::from(now_ms.wrapping_sub(self.read_ms)) * NS_PER_MS;

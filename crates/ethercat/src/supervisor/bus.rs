@@ -319,16 +319,27 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
     /// Queries slaves for their state, and reports changes.
     pub(super) async fn inspect(&mut self, numbers: Range<usize>) {
         let mut changed = false;
+        let goes_on = self.distributor().is_some();
         let last = numbers.end.min(self.slaves.len());
         for first in (numbers.start..last).step_by(LOOK_MAX) {
             let reports = self.reports(first..last.min(first + LOOK_MAX)).await;
             for (number, report) in (first..).zip(reports) {
+                let is_back = self.is_lost(number) && report.is_some();
+                if is_back && goes_on {
+                    // The time of the others has gone on without it.
+                    self.clocks.was_off(number);
+                }
                 changed |= self.judge(number, report).await;
             }
         }
         if changed {
             self.send_plan().await;
         }
+    }
+
+    fn is_lost(&self, number: usize) -> bool {
+        let slave = self.slaves.get(number);
+        slave.is_some_and(|slave| slave.condition == Condition::Lost)
     }
 
     /// Takes a slave's report, or `None` if it does not answer; returns whether its condition changed.

@@ -312,7 +312,10 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         }
         let actual_ns = clock::difference_ns(&mut self.port, slave.station()).await?;
         match actual_ns.unsigned_abs() <= NEAR_NS {
-            true => Ok(()),
+            true => {
+                self.clocks.found_in_time(number);
+                Ok(())
+            }
             false => Err(BusError::ClockDifference {
                 expected_ns: NEAR_NS,
                 actual_ns,
