@@ -251,7 +251,7 @@ fn a_refused_state_and_a_swapped_slave_are_of_one_slave() {
     rig.send(&frame_of(&[ASK]));
     rig.send(&frame_of(&[ASK]));
     assert_eq!(rig.ask(FPRD, 0x1002, 0x0130, &[0; 2]).1, 0, "it has no station address");
-    assert_eq!(rig.ask(APRD, 0u16.wrapping_sub(1), 0x0005, &[9]), (vec![0], 1));
+    assert_eq!(rig.ask(APRD, 0u16.wrapping_sub(1), 0x0140, &[0; 2]), (vec![0, 0x0D], 1));
     assert_eq!(motors(&rig), before, "the motors stay where they are");
 }
 
