@@ -43,6 +43,8 @@ const _: () = {
 /// Watchdog divider for 100 us, and 1000 of these units: the defaults after power-up.
 const WATCHDOG_DIVIDER_DEFAULT: u16 = WATCHDOG_DIVIDER_100_US;
 const WATCHDOG_PROCESS_DATA_DEFAULT: u16 = 1000;
+/// Size of the receive FIFO after power-up, in the third byte of the data-link control.
+const RECEIVE_FIFO_DEFAULT: u8 = 7;
 /// Length of the controller's clock tick, nanoseconds.
 const CLOCK_TICK_NS: u64 = 40;
 
@@ -122,6 +124,7 @@ impl Controller {
         self.fmmus = Default::default();
         self.al_request = None;
         self.describe();
+        self.store(register::DL_CONTROL + 2, &[RECEIVE_FIFO_DEFAULT]);
         self.store(register::WATCHDOG_DIVIDER, &WATCHDOG_DIVIDER_DEFAULT.to_le_bytes());
         self.store(
             register::WATCHDOG_PROCESS_DATA,

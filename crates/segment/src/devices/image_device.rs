@@ -23,6 +23,10 @@ const OUTPUTS: u8 = 3;
 const INPUTS: u8 = 4;
 /// Sync manager without hardware.
 const VIRTUAL: u8 = 0x04;
+/// Most FMMUs or sync managers of a controller.
+const UNITS_MAX: u8 = 8;
+/// Size of a blank information memory.
+const BLANK_BYTES: usize = 2048;
 
 const OBJECTS: &[ObjectRow] = &[
     variable(
@@ -68,15 +72,7 @@ impl ImageDevice {
         let windows = windows(&content);
         let managers = process_managers(&content, &windows);
         let bytes = |managers: &[ProcessManager]| managers.iter().filter_map(|manager| manager.bytes).sum();
-        let silicon = if content.is_emulated {
-            Silicon {
-                fmmus: number(content.fmmus).max(Silicon::TERMINAL.fmmus),
-                sync_managers: number(content.sync_managers.len()).max(Silicon::TERMINAL.sync_managers),
-                ..Silicon::TERMINAL
-            }
-        } else {
-            Silicon::ET1100
-        };
+        let silicon = silicon(&content);
         Self {
             silicon,
             windows,
@@ -107,12 +103,29 @@ impl ImageDevice {
     }
 }
 
-/// Size of a blank information memory.
-const BLANK_BYTES: usize = 2048;
-
-/// Number of units in the silicon.
-fn number(units: usize) -> u8 {
-    u8::try_from(units.min(8)).unwrap_or(8)
+/// The silicon for an image: it has the units that the image uses, and those of the smallest controllers at least.
+fn silicon(content: &Content) -> Silicon {
+    let units = |used: usize, least: u8| match used {
+        0 => None,
+        used => Some(u8::try_from(used).unwrap_or(UNITS_MAX).clamp(least, UNITS_MAX)),
+    };
+    let small = Silicon::TERMINAL;
+    let fmmus = units(content.fmmus, small.fmmus);
+    let sync_managers = units(content.sync_managers.len(), small.sync_managers);
+    let base = match (content.is_emulated, content.has_clock) {
+        (true, false) => small,
+        (true, true) => Silicon {
+            clock: Silicon::COUPLER.clock,
+            features: Silicon::COUPLER.features,
+            ..small
+        },
+        (false, _) => Silicon::ET1100,
+    };
+    Silicon {
+        fmmus: fmmus.unwrap_or(base.fmmus),
+        sync_managers: sync_managers.unwrap_or(base.sync_managers),
+        ..base
+    }
 }
 
 fn windows(content: &Content) -> Windows {
@@ -136,7 +149,7 @@ fn windows(content: &Content) -> Windows {
 }
 
 /// The sync managers of the process data. With a mailbox, the length of the only one of a direction follows the
-/// assignment; all others have the length in the image, or that of their PDOs.
+/// assignment if the image lists PDOs; all others have the length in the image, or that of their PDOs.
 fn process_managers(content: &Content, windows: &Windows) -> ProcessManagers {
     let of_kind = |kind: u8| -> Vec<ProcessManager> {
         let is_real = |manager: &SyncManagerDefault| manager.kind == kind && manager.activate & VIRTUAL == 0;
@@ -159,6 +172,7 @@ fn process_managers(content: &Content, windows: &Windows) -> ProcessManagers {
         inputs: of_kind(INPUTS),
     };
     if windows.has_mailbox() {
+        let has_pdos = |number| content.pdo_bytes(number) > 0;
         let standard = ProcessManagers::standard(windows);
         for (list, standard) in [
             (&mut managers.outputs, standard.outputs),
@@ -166,7 +180,7 @@ fn process_managers(content: &Content, windows: &Windows) -> ProcessManagers {
         ] {
             match list.as_mut_slice() {
                 [] => *list = standard,
-                [only] => only.bytes = None,
+                [only] if only.bytes == Some(0) || has_pdos(only.number) => only.bytes = None,
                 _ => {}
             }
         }

@@ -6,8 +6,8 @@ use crate::eeprom::sii::PdoDescription;
 use crate::eeprom::windows::SyncManagerDefault;
 use crate::mailbox::process_data::{Pdo, PdoEntry};
 use etherpen_ethercat::wire::sii::{
-    CATEGORY_END, CATEGORY_FMMU, CATEGORY_GENERAL, CATEGORY_RX_PDO, CATEGORY_STRINGS, CATEGORY_SYNC_MANAGER,
-    CATEGORY_TX_PDO, FixedPart, PDO_MANDATORY, WORD_CATEGORIES, WORD_CHECKSUM, checksum,
+    CATEGORY_CLOCKS, CATEGORY_END, CATEGORY_FMMU, CATEGORY_GENERAL, CATEGORY_RX_PDO, CATEGORY_STRINGS,
+    CATEGORY_SYNC_MANAGER, CATEGORY_TX_PDO, FixedPart, PDO_MANDATORY, WORD_CATEGORIES, WORD_CHECKSUM, checksum,
 };
 
 /// Most categories before a chain counts as endless.
@@ -24,6 +24,8 @@ pub(crate) struct Content {
     pub(crate) fixed: FixedPart,
     /// Whether the slave controller emulates the device: it has no processor.
     pub(crate) is_emulated: bool,
+    /// Whether it lists settings of a distributed clock.
+    pub(crate) has_clock: bool,
     pub(crate) name: String,
     /// Number of FMMUs that the device uses or could use.
     pub(crate) fmmus: usize,
@@ -44,6 +46,7 @@ impl Content {
             match kind {
                 CATEGORY_STRINGS => strings = texts(body),
                 CATEGORY_GENERAL => name_number = body.get(3).copied().unwrap_or(0),
+                CATEGORY_CLOCKS => content.has_clock = true,
                 CATEGORY_FMMU => content.fmmus = body.iter().filter(|usage| !matches!(usage, 0 | 0xFF)).count(),
                 CATEGORY_SYNC_MANAGER => content.sync_managers = sync_managers(body),
                 CATEGORY_RX_PDO | CATEGORY_TX_PDO => take_pdos(body, &mut content.pdos),

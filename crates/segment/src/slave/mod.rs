@@ -289,7 +289,6 @@ impl Slave {
     fn change_state(&mut self) {
         let ready = self.readiness();
         let before = self.application.state();
-        self.application.check(ready);
         if let Some(request) = self.next_request() {
             let denied = self
                 .refusals
@@ -300,6 +299,7 @@ impl Slave {
                 None => self.application.request(request, ready),
             }
         }
+        self.application.check(ready);
         self.application.step(ready);
         if !ready.synchronous && self.application.state() == AlState::Operational {
             self.application.retreat(AlState::SafeOperational, code::SYNC_LOST);

@@ -93,6 +93,18 @@ fn a_sync_manager_that_the_master_takes_away_is_noticed() {
 }
 
 #[test]
+fn a_request_for_preop_comes_before_the_loss_of_its_sync_managers() {
+    let mut rig = safe();
+    let frame = frame_of(&[
+        (FPWR, STATION, 0x0816, &[0]),
+        (FPWR, STATION, 0x081E, &[0]),
+        (FPWR, STATION, 0x0120, &[2, 0]),
+    ]);
+    rig.send(&frame);
+    assert_eq!(rig.al_status(STATION), (2, 0));
+}
+
+#[test]
 fn start_and_length_of_an_enabled_sync_manager_stay() {
     let mut rig = safe();
     let before = rig.read(STATION, 0x0810, 5);

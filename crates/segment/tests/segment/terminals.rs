@@ -2,7 +2,7 @@
 
 use crate::{TestRig, rig_of};
 use etherpen_segment::rig::*;
-use etherpen_segment::{AlState, SegmentOptions, SlaveKind, parse_slaves};
+use etherpen_segment::{AlState, Fault, SegmentOptions, SlaveKind, parse_slaves};
 
 /// Place of the datagram's data in a frame of one datagram.
 const LOGICAL: u16 = 0x0000;
@@ -345,6 +345,43 @@ fn an_image_becomes_a_terminal_with_the_sync_managers_that_it_lists() {
     rig.request(8);
     assert_eq!(rig.bus.outputs(2), Some(vec![0x12, 0x34]));
     assert_eq!(rig.bus.inputs(2), None, "a virtual sync manager has no memory");
+}
+
+#[test]
+fn an_image_with_settings_of_a_clock_gets_a_clock() {
+    let mut image = two_managers(0x0104);
+    image.truncate(image.len() - 2);
+    image.extend_from_slice(&[60, 0, 0, 0, 0xFF, 0xFF]);
+    let mut rig = addressed(vec![SlaveKind::El1004, SlaveKind::Sii(image.into())]);
+    assert_eq!(rig.read(0x1002, 0x0008, 2), [0xFC, 0x00]);
+    assert_eq!(rig.ask(BRD, 0, 0x0910, &[0; 8]).1, 1);
+}
+
+#[test]
+fn a_power_cycle_brings_a_terminal_back_to_init_with_its_outputs_off() {
+    let mut rig = station_of_three();
+    rig.request(8);
+    exchange(&mut rig, 0xF0);
+    assert_eq!(rig.bus.outputs(3), Some(vec![0x0F]));
+    rig.bus.inject(Fault::Power(3, 3));
+    rig.time_us += 2_000;
+    rig.send(&frame_of(&[(BRD, 0, 0x0130, &[0, 0])]));
+    assert_eq!(rig.bus.outputs(3), Some(vec![0]));
+    rig.time_us += 5_000;
+    let third = 0u16.wrapping_sub(2);
+    assert_eq!(rig.ask(APRD, third, 0x0130, &[0; 2]), (vec![1, 0], 1));
+    assert_eq!(rig.ask(APRD, third, 0x0800, &[9; 8]).0, [0, 0, 0, 0, 0, 0x30, 0, 0]);
+    for fault in [
+        Fault::Retreat(2, 0x1B),
+        Fault::Processor(2, 50),
+        Fault::Refuse(2, AlState::PreOperational, 7),
+    ] {
+        rig.bus.inject(fault);
+    }
+    rig.send(&frame_of(&[(BRD, 0, 0x0130, &[0, 0])]));
+    assert_eq!(rig.al_status(0x1002), (8, 0), "no processor, no fault of it");
+    rig.write(0x1002, 0x0120, &[2, 0]);
+    assert_eq!(rig.al_status(0x1002), (2, 0));
 }
 
 #[test]
