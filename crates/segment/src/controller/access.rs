@@ -9,8 +9,14 @@ use etherpen_ethercat::wire::Command;
 use fmmu::Overlap;
 
 impl Controller {
-    /// Processes a datagram.
+    /// Processes a datagram, and reports events in its interrupt field.
     pub(crate) fn pass(&mut self, datagram: &mut Datagram) {
+        self.process(datagram);
+        let pending = if self.link_event { EVENT_LINK } else { 0 };
+        datagram.report(pending & self.word(register::EVENT_MASK));
+    }
+
+    fn process(&mut self, datagram: &mut Datagram) {
         let command = datagram.command();
         let device = datagram.device();
         if command.counts_position() {
@@ -151,6 +157,9 @@ impl Controller {
             && let Some(registers) = self.memory.get_mut(clock::BASE..clock::BASE + clock::LENGTH)
         {
             self.clock.show(registers);
+        }
+        if address < register::DL_STATUS + 2 && address + into.len() > register::DL_STATUS {
+            self.link_event = false;
         }
         let mut success = false;
         let mut done = 0;

@@ -41,6 +41,8 @@ const LONG_TIMES: [usize; 5] = [SYSTEM_TIME, UNIT_TIME, OFFSET, START_TIME, NEXT
 const ACTIVATE: u8 = 0x01;
 const ACTIVATE_SYNC0: u8 = 0x02;
 const ACTIVATE_SYNC1: u8 = 0x04;
+/// Receive times after power-up: bytes that are no times stay at ports where no frame arrives.
+const PORT_TIMES_DEFAULT: [u8; PORT_TIMES_LENGTH] = *b"Beckhoff\0\0\0\0Verl";
 const SPEED_START_DEFAULT: u16 = 0x1000;
 const FILTER_DEFAULT: [u8; 2] = [4, 12];
 const BILLION: i128 = 1_000_000_000;
@@ -114,6 +116,9 @@ impl DistributedClock {
         let true_ns = self.true_ns;
         *self = Self::new(self.width, self.drift_ppb, 0);
         self.true_ns = true_ns;
+        if self.has_register(PORT_TIMES) {
+            put(registers, PORT_TIMES, &PORT_TIMES_DEFAULT);
+        }
         if self.has_system_time() {
             put(registers, SPEED_START, &SPEED_START_DEFAULT.to_le_bytes());
             put(registers, FILTER_DEPTH, &FILTER_DEFAULT);

@@ -50,6 +50,8 @@ const CLOCK_TICK_NS: u64 = 40;
 
 /// Configuration of the controller: device emulation.
 const DEVICE_EMULATION: u8 = 0x01;
+/// Event of the datagrams' interrupt field: the data-link status has changed.
+const EVENT_LINK: u16 = 0x0004;
 /// Access to the information memory: given to the slave's processor.
 const SII_OFFERED: u8 = 0x01;
 /// AL control: state and acknowledge.
@@ -93,6 +95,8 @@ pub(crate) struct Controller {
     now_ns: u64,
     back_ns: Option<u64>,
     processor_alive: bool,
+    /// Whether the data-link status has changed since the bus read it.
+    link_event: bool,
     al_request: Option<u16>,
 }
 
@@ -109,6 +113,7 @@ impl Controller {
             now_ns: 0,
             back_ns: None,
             processor_alive: true,
+            link_event: true,
             al_request: None,
         };
         controller.power_up();
@@ -138,6 +143,7 @@ impl Controller {
             self.clock.power_up(registers);
         }
         self.processor_alive = true;
+        self.link_event = true;
         self.load_configuration();
         for index in 0..SYNC_MANAGERS {
             self.mirror(index);
@@ -293,6 +299,7 @@ impl Controller {
                 self.store(counter, &[count]);
             }
         }
+        self.link_event |= status != self.word(register::DL_STATUS);
         self.store(register::DL_STATUS, &status.to_le_bytes());
     }
 

@@ -1,6 +1,7 @@
 //! Slaves without a processor: couplers and terminals whose controller emulates the device.
 
 use crate::{TestRig, rig_of};
+use etherpen_segment::random::Random;
 use etherpen_segment::rig::*;
 use etherpen_segment::{AlState, Fault, SegmentOptions, SlaveKind, parse_slaves};
 
@@ -345,6 +346,36 @@ fn an_image_becomes_a_terminal_with_the_sync_managers_that_it_lists() {
     rig.request(8);
     assert_eq!(rig.bus.outputs(2), Some(vec![0x12, 0x34]));
     assert_eq!(rig.bus.inputs(2), None, "a virtual sync manager has no memory");
+}
+
+#[test]
+fn no_image_and_no_frames_break_a_terminal() {
+    let seed = 17;
+    println!("seed {seed}");
+    let mut random = Random::new(seed);
+    for round in 0..300u64 {
+        let mut image = two_managers([0x0104, 0x0008][(round % 2) as usize]);
+        for _ in 0..random.bits() % 20 {
+            let at = 0x30 + (random.bits() % (image.len() as u64 - 0x30)) as usize;
+            image[at] = random.bits() as u8;
+        }
+        let mut rig = addressed(vec![SlaveKind::Sii(image.into()), SlaveKind::El2008, SlaveKind::Blank]);
+        for _ in 0..200 {
+            let mut data: Vec<u8> = (0..random.bits() % 20).map(|_| random.bits() as u8).collect();
+            data.iter_mut().skip(6).step_by(8).for_each(|byte| *byte |= 1);
+            let register = [0x0120, 0x0500, 0x0600, 0x0800, 0x0808, 0x0F00, 0x0FF8, 0x1000, 0x13F8];
+            let register = register[(random.bits() % 9) as usize];
+            let device = [0x1001, 0x1002, 0x1003, 0][(random.bits() % 4) as usize];
+            let command = (random.bits() % 15) as u8;
+            rig.send(&frame_of(&[(command, device, register, &data), (LRW, 0, 0, &[0; 32])]));
+            rig.bus.set_inputs(1 + (random.bits() % 4) as usize, &data);
+        }
+        for slave in 0..5 {
+            let lengths = [rig.bus.inputs(slave), rig.bus.outputs(slave)].map(|bytes| bytes.map(|bytes| bytes.len()));
+            let most = 8 * usize::from(u16::MAX);
+            assert!(lengths.into_iter().flatten().all(|length| length <= most));
+        }
+    }
 }
 
 #[test]
