@@ -9,11 +9,11 @@ use etherpen_ethercat::wire::Command;
 use fmmu::Overlap;
 
 impl Controller {
-    /// Processes a datagram, and reports events in its interrupt field.
+    /// Reports the present events in the interrupt field of a datagram and processes it.
     pub(crate) fn pass(&mut self, datagram: &mut Datagram) {
-        self.process(datagram);
         let pending = if self.link_event { EVENT_LINK } else { 0 };
         datagram.report(pending & self.word(register::EVENT_MASK));
+        self.process(datagram);
     }
 
     fn process(&mut self, datagram: &mut Datagram) {
