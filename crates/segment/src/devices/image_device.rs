@@ -112,8 +112,10 @@ fn silicon(content: &Content) -> Silicon {
     let small = Silicon::TERMINAL;
     let fmmus = units(content.fmmus, small.fmmus);
     let sync_managers = units(content.sync_managers.len(), small.sync_managers);
+    let is_coupler = content.sync_managers.is_empty();
     let base = match (content.is_emulated, content.has_clock) {
         (true, false) => small,
+        (true, true) if is_coupler => Silicon::COUPLER,
         (true, true) => Silicon {
             clock: Silicon::COUPLER.clock,
             features: Silicon::COUPLER.features,

@@ -15,8 +15,9 @@ const CATEGORIES_MAX: usize = 64;
 /// Indices of PDOs.
 const PDO_FIRST: u16 = 0x1600;
 const PDO_END: u16 = 0x1C00;
-/// High byte of word 0: device emulation.
+/// High byte of word 0: device emulation; SYNC unit and latch unit powered.
 const DEVICE_EMULATION: u8 = 0x01;
+const CLOCK_UNITS: u8 = 0x0C;
 
 /// Content of an image.
 #[derive(Clone, Debug, Default)]
@@ -24,7 +25,7 @@ pub(crate) struct Content {
     pub(crate) fixed: FixedPart,
     /// Whether the slave controller emulates the device: it has no processor.
     pub(crate) is_emulated: bool,
-    /// Whether it lists settings of a distributed clock.
+    /// Whether the units of a distributed clock are powered, or settings of a clock are listed.
     pub(crate) has_clock: bool,
     pub(crate) name: String,
     /// Number of FMMUs that the device uses or could use.
@@ -38,7 +39,8 @@ impl Content {
     pub(crate) fn parse(image: &[u8]) -> Self {
         let mut content = Self {
             fixed: FixedPart::parse(image).unwrap_or_default(),
-            is_emulated: is_emulated(image),
+            is_emulated: configured(image, DEVICE_EMULATION),
+            has_clock: configured(image, CLOCK_UNITS),
             ..Self::default()
         };
         let (mut strings, mut name_number) = (Vec::new(), 0);
@@ -69,11 +71,11 @@ impl Content {
     }
 }
 
-/// Whether word 0 switches device emulation on, under a correct checksum.
-fn is_emulated(image: &[u8]) -> bool {
+/// Whether word 0 has one of these bits in its high byte, under a correct checksum.
+fn configured(image: &[u8], bits: u8) -> bool {
     let place = 2 * usize::from(WORD_CHECKSUM);
     let valid = image.get(place) == image.get(..place).map(checksum).as_ref();
-    valid && image.get(1).is_some_and(|byte| byte & DEVICE_EMULATION != 0)
+    valid && image.get(1).is_some_and(|byte| byte & bits != 0)
 }
 
 /// Category numbers and bodies; a body that exceeds the image is cut, and the chain ends there.

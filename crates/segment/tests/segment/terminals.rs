@@ -379,13 +379,25 @@ fn no_image_and_no_frames_break_a_terminal() {
 }
 
 #[test]
-fn an_image_with_settings_of_a_clock_gets_a_clock() {
-    let mut image = two_managers(0x0104);
-    image.truncate(image.len() - 2);
-    image.extend_from_slice(&[60, 0, 0, 0, 0xFF, 0xFF]);
-    let mut rig = addressed(vec![SlaveKind::El1004, SlaveKind::Sii(image.into())]);
-    assert_eq!(rig.read(0x1002, 0x0008, 2), [0xFC, 0x00]);
-    assert_eq!(rig.ask(BRD, 0, 0x0910, &[0; 8]).1, 1);
+fn an_emulated_image_with_powered_clock_units_has_a_clock() {
+    let mut listed = two_managers(0x0104);
+    listed.truncate(listed.len() - 2);
+    listed.extend_from_slice(&[60, 0, 0, 0, 0xFF, 0xFF]);
+    let mut coupler = two_managers(0x0D00);
+    coupler.truncate(0x80);
+    for (image, from_4) in [
+        (two_managers(0x0104), [3, 4, 1, 0x4A, 0xFC, 0x01]),
+        (listed, [3, 4, 1, 0x4A, 0xFC, 0x00]),
+        (two_managers(0x0504), [3, 4, 1, 0x4A, 0xFC, 0x00]),
+        (coupler, [8, 8, 8, 0x3B, 0xFC, 0x00]),
+    ] {
+        let mut rig = addressed(vec![SlaveKind::El1004, SlaveKind::Sii(image.into())]);
+        assert_eq!(rig.read(0x1002, 0x0004, 6), from_4);
+        assert_eq!(rig.ask(BRD, 0, 0x0910, &[0; 8]).1, u16::from(from_4[5] == 0));
+        rig.write(0x1002, 0x0500, &[1]);
+        rig.write(0x1002, 0x0120, &[8, 0]);
+        assert_eq!(rig.al_status(0x1002), (8, 0), "a memory handed over does no harm");
+    }
 }
 
 #[test]
