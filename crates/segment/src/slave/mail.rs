@@ -40,6 +40,11 @@ impl Slave {
             .with_sync_manager(MAILBOX_OUT_MANAGER, |manager| manager.take_message());
         if let Some(message) = message {
             self.receive(&message);
+            self.answer_ms = self.options.mailbox_ms;
+        }
+        if self.answer_ms > 0 {
+            self.answer_ms -= 1;
+            return;
         }
         let mailbox = &mut self.mailbox;
         self.controller.with_sync_manager(MAILBOX_IN_MANAGER, |manager| {

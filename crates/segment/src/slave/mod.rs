@@ -44,6 +44,8 @@ pub(crate) struct Slave {
     /// Remaining time without power, ms; the motor brakes meanwhile.
     unpowered_ms: u64,
     silent_ms: u64,
+    /// Remaining time to the next answer of the mailbox, ms.
+    answer_ms: u64,
     unfed_ms: u64,
     width: ClockWidth,
     nature: Nature,
@@ -74,6 +76,7 @@ impl Slave {
             transition: None,
             unpowered_ms: 0,
             silent_ms: 0,
+            answer_ms: 0,
             unfed_ms: 0,
             width,
             nature,
@@ -195,6 +198,7 @@ impl Slave {
         self.outputs_received = false;
         self.has_outputs = false;
         self.transition = None;
+        self.answer_ms = 0;
         self.controller.power_up();
         self.hung_ms = 0;
         self.hang(self.options.boot_ms);

@@ -11,4 +11,6 @@ pub struct SlaveOptions {
     pub boot_ms: u64,
     /// How long the processor takes for a change of state, ms, in addition to the millisecond of its cycle.
     pub transition_ms: u64,
+    /// How long the answer to a mailbox message takes, ms, in addition to the millisecond of its cycle.
+    pub mailbox_ms: u64,
 }

@@ -210,6 +210,26 @@ fn a_change_of_state_takes_its_time() {
 }
 
 #[test]
+fn a_slow_mailbox_takes_the_request_at_once_and_answers_late() {
+    let mut rig = with_options(SlaveOptions {
+        mailbox_ms: 38,
+        ..SlaveOptions::default()
+    });
+    rig.request(2);
+    let mut message = upload(1);
+    message.resize(512, 0);
+    rig.write(STATION, 0x1800, &message);
+    assert_eq!(rig.read(STATION, 0x0805, 1), [0x02], "taken");
+    let mut waited = 0;
+    while rig.read(STATION, 0x080D, 1)[0] & 0x08 == 0 {
+        waited += 1;
+        assert!(waited < 60);
+    }
+    assert!((36..=39).contains(&waited), "{waited} ms");
+    assert_eq!(rig.read(STATION, 0x1C00, 512)[6..16], DEVICE_TYPE);
+}
+
+#[test]
 fn a_blank_board_answers_registers_and_disturbs_nobody() {
     let mut rig = rig_of(SegmentOptions {
         slaves: parse_slaves("ek1100,blank,el1008,ax2000").expect("a list"),
