@@ -89,12 +89,7 @@ impl SlaveSummary {
     fn new(slave: usize, kind: &SlaveKind, state: &SlaveState) -> Self {
         Self {
             slave,
-            kind: match kind {
-                SlaveKind::Ax2000 => "ax2000",
-                SlaveKind::Cia402 => "cia402",
-                SlaveKind::Ek1100 => "ek1100",
-                SlaveKind::Sii(_) => "sii",
-            },
+            kind: kind.name(),
             powered: state.powered,
             al_state: match state.al_state {
                 AlState::Init => "INIT",

@@ -1,13 +1,14 @@
 //! The application layer's state machine of a slave: INIT, PREOP, SAFEOP, OP and their checks.
 //!
-//! One step up at a time, any step down. A refusal sets the error bit and an AL status code, and upward requests wait
-//! until the master has acknowledged. States and codes: IEC 61158-6-12, AL control and AL status.
+//! One step up at a time, any step down. A refusal or a fallback sets the error bit and an AL status code; until the
+//! master has acknowledged it, every other request is ignored. Sync managers are checked all the time. States and codes: IEC 61158-6-12, AL control and AL status.
 
 /// How long a request for OP waits for outputs, ms.
 const OUTPUTS_WAIT_MS: u32 = 200;
 
 const ACKNOWLEDGE: u16 = 0x10;
 const STATE_MASK: u16 = 0x0F;
+const BOOTSTRAP: u16 = 3;
 const ERROR: u16 = 0x10;
 
 /// AL status codes.
@@ -26,6 +27,8 @@ pub(crate) mod code {
     pub(crate) const OUTPUTS: u16 = 0x001D;
     /// The input sync manager is invalid.
     pub(crate) const INPUTS: u16 = 0x001E;
+    /// The information memory cannot be read: the master has not given the access.
+    pub(crate) const INFORMATION: u16 = 0x0050;
     /// Synchronisation was lost in OP.
     pub(crate) const SYNC_LOST: u16 = 0x002C;
     /// No SYNC0 pulse arrived.
@@ -47,6 +50,19 @@ pub enum AlState {
     Operational = 8,
 }
 
+impl AlState {
+    /// The state of an AL status or AL control register; `None` for a number that is no state of a slave here.
+    pub(crate) fn from_number(register: u16) -> Option<Self> {
+        Some(match register & STATE_MASK {
+            1 => Self::Init,
+            2 => Self::PreOperational,
+            4 => Self::SafeOperational,
+            8 => Self::Operational,
+            _ => return None,
+        })
+    }
+}
+
 /// Conditions checked in a transition.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Readiness {
@@ -54,6 +70,8 @@ pub(crate) struct Readiness {
     pub(crate) outputs: bool,
     pub(crate) inputs: bool,
     pub(crate) outputs_received: bool,
+    /// Whether the information memory is available where it is needed.
+    pub(crate) information: bool,
     /// Whether the SYNC unit is off, or its registers are consistent.
     pub(crate) sync_valid: bool,
     /// Whether the SYNC unit is off, or pulses arrive.
@@ -104,11 +122,29 @@ impl Application {
 
     /// Refuses the request if it is for this state, regardless of the checks.
     pub(crate) fn deny(&mut self, control: u16, state: AlState, code: u16) -> bool {
-        let denied = control & STATE_MASK == state as u16;
+        let denied = control & STATE_MASK == state as u16 && !self.ignores(control);
         if denied {
             self.refuse(code);
         }
         denied
+    }
+
+    /// Falls back if a sync manager is no longer as the present state needs it.
+    pub(crate) fn check(&mut self, ready: Readiness) {
+        let cyclic = self.state >= AlState::SafeOperational;
+        if self.state >= AlState::PreOperational && !ready.mailbox {
+            self.retreat(AlState::Init, code::MAILBOX);
+        } else if cyclic && !ready.outputs {
+            self.retreat(AlState::PreOperational, code::OUTPUTS);
+        } else if cyclic && !ready.inputs {
+            self.retreat(AlState::PreOperational, code::INPUTS);
+        }
+    }
+
+    /// Whether an unacknowledged error hides this request. In INIT, a request for INIT is an acknowledgement.
+    fn ignores(&self, control: u16) -> bool {
+        let stays_in_init = self.state == AlState::Init && control & STATE_MASK == AlState::Init as u16;
+        self.error && control & ACKNOWLEDGE == 0 && !stays_in_init
     }
 
     /// Advances a waiting request for OP by one millisecond.
@@ -127,26 +163,21 @@ impl Application {
 
     /// Handles a write to the AL control register.
     pub(crate) fn request(&mut self, control: u16, ready: Readiness) {
-        if control & ACKNOWLEDGE != 0 {
-            self.error = false;
-            self.code = 0;
+        if self.ignores(control) {
+            return;
         }
-        let target = match control & STATE_MASK {
-            1 => AlState::Init,
-            2 => AlState::PreOperational,
-            3 => return self.refuse(code::NO_BOOTSTRAP),
-            4 => AlState::SafeOperational,
-            8 => AlState::Operational,
-            _ => return self.refuse(code::UNKNOWN_STATE),
+        self.error = false;
+        self.code = 0;
+        let target = match AlState::from_number(control) {
+            Some(target) => target,
+            None if control & STATE_MASK == BOOTSTRAP => return self.refuse(code::NO_BOOTSTRAP),
+            None => return self.refuse(code::UNKNOWN_STATE),
         };
-        if target < self.state {
-            self.waiting_ms = None;
-            self.error = false;
-            self.code = 0;
-            self.state = target;
-        } else if target > self.state && !self.error {
-            self.waiting_ms = None;
+        self.waiting_ms = None;
+        if target > self.state {
             self.climb(target, ready);
+        } else {
+            self.state = target;
         }
     }
 
@@ -154,6 +185,7 @@ impl Application {
         use AlState::{Init, Operational, PreOperational, SafeOperational};
         match (self.state, target) {
             (Init, PreOperational) if !ready.mailbox => self.refuse(code::MAILBOX),
+            (Init, PreOperational) if !ready.information => self.refuse(code::INFORMATION),
             (PreOperational, SafeOperational) if !ready.outputs => self.refuse(code::OUTPUTS),
             (PreOperational, SafeOperational) if !ready.inputs => self.refuse(code::INPUTS),
             (PreOperational, SafeOperational) if !ready.sync_valid => self.refuse(code::SYNC_INVALID),
@@ -161,7 +193,6 @@ impl Application {
                 self.waiting_ms = Some(0);
             }
             (Init, PreOperational) | (PreOperational, SafeOperational) | (SafeOperational, Operational) => {
-                self.code = 0;
                 self.state = target;
             }
             _ => self.refuse(code::INVALID_CHANGE),
@@ -184,6 +215,7 @@ mod tests {
         outputs: true,
         inputs: true,
         outputs_received: true,
+        information: true,
         sync_valid: true,
         synchronous: true,
     };
@@ -222,10 +254,48 @@ mod tests {
     }
 
     #[test]
-    fn an_error_blocks_the_way_up_until_it_is_acknowledged() {
+    fn an_error_hides_every_request_until_it_is_acknowledged() {
         assert_eq!(after(&[4, 2], READY), (0x11, code::INVALID_CHANGE));
         assert_eq!(after(&[4, 0x11, 2], READY), (0x02, 0));
-        assert_eq!(after(&[2, 8, 1], READY), (0x01, 0), "a step down clears it");
+        assert_eq!(after(&[4, 0x01], READY), (0x01, 0), "in INIT the request acknowledges");
+        assert_eq!(
+            after(&[2, 8, 1], READY),
+            (0x12, code::INVALID_CHANGE),
+            "nor a step down"
+        );
+        assert_eq!(after(&[2, 8, 0x11], READY), (0x01, 0));
+        assert_eq!(after(&[2, 8, 0x14], READY), (0x04, 0), "acknowledged, and a step up");
+    }
+
+    #[test]
+    fn a_sync_manager_that_is_lost_ends_the_state_that_needs_it() {
+        let lost = |mailbox, outputs, inputs| Readiness {
+            mailbox,
+            outputs,
+            inputs,
+            ..READY
+        };
+        for (ready, expected) in [
+            (lost(true, false, true), (0x12, code::OUTPUTS)),
+            (lost(true, true, false), (0x12, code::INPUTS)),
+            (lost(false, true, true), (0x11, code::MAILBOX)),
+        ] {
+            let mut application = Application::default();
+            for request in [2, 4, 8] {
+                application.request(request, READY);
+            }
+            application.check(ready);
+            assert_eq!((application.status(), application.code()), expected);
+        }
+    }
+
+    #[test]
+    fn without_the_information_memory_there_is_no_way_out_of_init() {
+        let kept = Readiness {
+            information: false,
+            ..READY
+        };
+        assert_eq!(after(&[2], kept), (0x11, code::INFORMATION));
     }
 
     #[test]

@@ -181,6 +181,7 @@ impl Chain {
             Fault::Processor(slave, ms) => self.with(slave, |slave| slave.hang(ms)),
             Fault::Sii(slave, fault) => self.with(slave, |slave| slave.set_sii_fault(fault)),
             Fault::Mailbox(slave, step, fault) => self.with(slave, |slave| slave.spoil_mailbox(step, fault)),
+            Fault::Ethernet(slave) => self.with(slave, Slave::send_ethernet),
             _ => {}
         }
         self.show_links();
@@ -337,7 +338,13 @@ impl Chain {
         });
     }
 
-    fn with(&mut self, slave: usize, work: impl FnOnce(&mut Slave)) {
+    /// A slave, from 1.
+    pub(crate) fn slave(&self, slave: usize) -> Option<&Slave> {
+        self.slaves.get(slave.checked_sub(1)?)
+    }
+
+    /// Does something with a slave, from 1, if it exists.
+    pub(crate) fn with(&mut self, slave: usize, work: impl FnOnce(&mut Slave)) {
         if let Some(slave) = slave.checked_sub(1).and_then(|index| self.slaves.get_mut(index)) {
             work(slave);
         }

@@ -48,3 +48,4 @@ pub use faults::{SCRIPT_HELP, Script, ScriptError, ScriptProblem};
 pub use load::{Flywheel, Load, STEP_S, Shaft};
 pub use oscillator::Oscillator;
 pub use segment::{CATCH_UP_MS_MAX, ClockOptions, MotorState, Segment, SegmentOptions, SlaveState};
+pub use slave::options::SlaveOptions;

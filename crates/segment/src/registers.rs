@@ -20,6 +20,8 @@ pub(crate) const AL_CONTROL: usize = wire::AL_CONTROL as usize;
 pub(crate) const AL_STATUS: usize = wire::AL_STATUS as usize;
 /// Why a state was refused or left.
 pub(crate) const AL_STATUS_CODE: usize = wire::AL_STATUS_CODE as usize;
+/// Events that the datagrams' interrupt field reports.
+pub(crate) const EVENT_MASK: usize = wire::EVENT_MASK as usize;
 /// Watchdog clock divider.
 pub(crate) const WATCHDOG_DIVIDER: usize = wire::WATCHDOG_DIVIDER as usize;
 /// Process-data watchdog time in periods of the divided clock.

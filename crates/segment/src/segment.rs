@@ -22,6 +22,7 @@ use crate::load::Load;
 use crate::random::Random;
 use crate::rig::Bus;
 use crate::slave::Slave;
+use crate::slave::options::SlaveOptions;
 use std::collections::BTreeMap;
 
 /// Length of a step, microseconds.
@@ -277,6 +278,30 @@ impl<L: Load> Segment<L> {
                 speed_rad_s: motor.speed_rad_s(),
             })
         })
+    }
+
+    /// The inputs of a slave, from 1, that are set from outside: the bytes of its input sync managers, one behind the
+    /// other. `None` for a slave without inputs, for a drive, and for a slave that does not exist.
+    #[must_use]
+    pub fn inputs(&self, slave: usize) -> Option<Vec<u8>> {
+        self.chain.slave(slave)?.inputs().map(<[u8]>::to_vec)
+    }
+
+    /// Sets the first inputs of a slave, from 1; the bytes behind them stay. No effect without inputs.
+    pub fn set_inputs(&mut self, slave: usize, inputs: &[u8]) {
+        self.chain.with(slave, |slave| slave.set_inputs(inputs));
+    }
+
+    /// The outputs of a slave, from 1, as they act outside: 0 unless it is in OP and its watchdog runs. `None` for a
+    /// slave without outputs, for a drive, and for a slave that does not exist.
+    #[must_use]
+    pub fn outputs(&self, slave: usize) -> Option<Vec<u8>> {
+        self.chain.slave(slave)?.outputs()
+    }
+
+    /// Sets what the processor of a slave, from 1, is like. The processor starts at once and at every power-up.
+    pub fn set_slave_options(&mut self, slave: usize, options: SlaveOptions) {
+        self.chain.with(slave, |slave| slave.set_options(options));
     }
 
     /// The load that the motors turn.

@@ -19,8 +19,8 @@ use std::time::Instant;
 pub struct Arguments {
     #[command(flatten)]
     segment: SegmentArguments,
-    /// Slaves in the order of the chain: ax2000, cia402, ek1100 or sii:FILE, with *N for N of a kind, for instance
-    /// ax2000*4,ek1100. Default: an AX2000 for each configured drive.
+    /// Slaves in the order of the chain: ax2000, cia402, ek1100, el1004, el1008, el2004, el2008, blank or sii:FILE, with
+    /// *N for N of a kind, for instance ax2000*4,ek1100,el2004. Default: an AX2000 for each configured drive.
     #[arg(long, value_name = "LIST", value_parser = slave_list)]
     slaves: Option<SlaveList>,
     /// File with scripted faults, one per line; the long help (--help) describes the language.

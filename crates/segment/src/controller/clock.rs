@@ -14,6 +14,9 @@ pub(crate) const BASE: usize = 0x0900;
 /// Bytes of registers.
 pub(crate) const LENGTH: usize = 0x100;
 
+/// Bytes of the receive times of the ports.
+pub(crate) const PORT_TIMES_LENGTH: usize = 0x10;
+
 /// Bytes from the first register on that show times; writes to them are processed but not stored.
 pub(crate) const TIMES_LENGTH: usize = 0x20;
 
@@ -32,10 +35,14 @@ const START_TIME: usize = 0x90;
 const NEXT_SYNC1: usize = 0x98;
 const CYCLE_TIME: usize = 0xA0;
 const CYCLE_TIME_1: usize = 0xA4;
+/// Registers of 8 bytes whose upper half a 32-bit clock does not have.
+const LONG_TIMES: [usize; 5] = [SYSTEM_TIME, UNIT_TIME, OFFSET, START_TIME, NEXT_SYNC1];
 
 const ACTIVATE: u8 = 0x01;
 const ACTIVATE_SYNC0: u8 = 0x02;
 const ACTIVATE_SYNC1: u8 = 0x04;
+/// Receive times after power-up: bytes that are no times stay at ports where no frame arrives.
+const PORT_TIMES_DEFAULT: [u8; PORT_TIMES_LENGTH] = *b"Beckhoff\0\0\0\0Verl";
 const SPEED_START_DEFAULT: u16 = 0x1000;
 const FILTER_DEFAULT: [u8; 2] = [4, 12];
 const BILLION: i128 = 1_000_000_000;
@@ -109,20 +116,34 @@ impl DistributedClock {
         let true_ns = self.true_ns;
         *self = Self::new(self.width, self.drift_ppb, 0);
         self.true_ns = true_ns;
-        put(registers, SPEED_START, &SPEED_START_DEFAULT.to_le_bytes());
-        put(registers, FILTER_DEPTH, &FILTER_DEFAULT);
+        if self.has_register(PORT_TIMES) {
+            put(registers, PORT_TIMES, &PORT_TIMES_DEFAULT);
+        }
+        if self.has_system_time() {
+            put(registers, SPEED_START, &SPEED_START_DEFAULT.to_le_bytes());
+            put(registers, FILTER_DEPTH, &FILTER_DEFAULT);
+        }
     }
 
-    /// Whether the slave has a clock.
-    pub(crate) fn exists(&self) -> bool {
-        self.width != ClockWidth::None
+    /// Whether the slave has a clock that the bus can read and set.
+    fn has_system_time(&self) -> bool {
+        self.width.has_system_time()
+    }
+
+    /// Whether the silicon has a register at this offset.
+    pub(crate) fn has_register(&self, offset: usize) -> bool {
+        match self.width {
+            ClockWidth::None => false,
+            ClockWidth::DelayOnly => offset < PORT_TIMES_LENGTH,
+            ClockWidth::Bits32 | ClockWidth::Bits64 => true,
+        }
     }
 
     /// Advances to a true time; an earlier time has no effect.
     pub(crate) fn advance(&mut self, true_ns: u64) {
         let passed = i128::from(true_ns.saturating_sub(self.true_ns));
         self.true_ns = self.true_ns.max(true_ns);
-        if passed == 0 || !self.exists() {
+        if passed == 0 || self.width == ClockWidth::None {
             return;
         }
         let rate = BILLION + i128::from(self.drift_ppb + self.steering_ppb + self.learnt_ppb);
@@ -159,7 +180,7 @@ impl DistributedClock {
 
     /// Updates the registers that the clock itself changes.
     pub(crate) fn show(&self, registers: &mut [u8]) {
-        if !self.exists() {
+        if !self.has_system_time() {
             return;
         }
         self.put_time(registers, SYSTEM_TIME, self.system_ns());
@@ -177,12 +198,17 @@ impl DistributedClock {
 
     /// Handles a write of `data` at this offset by the bus; `back_ns` is the true time at which the frame comes back.
     pub(crate) fn written(&mut self, registers: &mut [u8], start: usize, data: &[u8], back_ns: Option<u64>) {
-        if !self.exists() {
+        let touches = |from: usize, length: usize| start < from + length && from < start + data.len();
+        if touches(PORT_TIMES, 1) && self.has_register(PORT_TIMES) {
+            self.latch(registers, back_ns);
+        }
+        if !self.has_system_time() {
             return;
         }
-        let touches = |from: usize, length: usize| start < from + length && from < start + data.len();
-        if touches(PORT_TIMES, 1) {
-            self.latch(registers, back_ns);
+        if self.width == ClockWidth::Bits32 {
+            for at in LONG_TIMES {
+                put(registers, at + 4, &[0; 4]);
+            }
         }
         if touches(OFFSET, 8) {
             self.offset_ns = match self.width {
@@ -223,7 +249,9 @@ impl DistributedClock {
         if let Some(back_ns) = back_ns {
             put(registers, PORT_TIMES + 4, &(local(back_ns) as u32).to_le_bytes());
         }
-        self.put_time(registers, UNIT_TIME, self.local_ns);
+        if self.has_system_time() {
+            self.put_time(registers, UNIT_TIME, self.local_ns);
+        }
     }
 
     fn restart_steering(&mut self) {

@@ -92,6 +92,14 @@ impl<'frame> Datagram<'frame> {
         *self.counter = u16::from_le_bytes(*self.counter).wrapping_add(by).to_le_bytes();
     }
 
+    /// Sets events in the interrupt field, beside those of the slaves before.
+    pub(crate) fn report(&mut self, events: u16) {
+        let [.., low, high] = &mut *self.header;
+        let [new_low, new_high] = events.to_le_bytes();
+        *low |= new_low;
+        *high |= new_high;
+    }
+
     /// Whether another datagram follows.
     pub(crate) fn has_more(&self) -> bool {
         self.flags() & MORE_FOLLOW != 0

@@ -5,45 +5,57 @@
 //! sync managers and the state registers. Register layout: the slave controller's register description (ET1100 as the
 //! pattern).
 
+mod access;
 pub(crate) mod clock;
 pub(crate) mod datagram;
 mod fmmu;
 pub(crate) mod silicon;
 mod sync_manager;
 
-use crate::bits::{bit, set_bit};
 use crate::eeprom::{self, Eeprom, SiiFault};
 use crate::registers as register;
 use clock::{DistributedClock, SyncState};
 use datagram::Datagram;
-use etherpen_ethercat::wire::Command;
 use etherpen_ethercat::wire::register::WATCHDOG_DIVIDER_100_US;
-use fmmu::{Fmmu, Overlap};
-use silicon::{ClockWidth, Silicon};
+use fmmu::Fmmu;
+use silicon::Silicon;
 use sync_manager::SyncManager;
 
 /// Bytes of register space.
 const REGISTER_SPACE: usize = 0x1000;
-/// Bytes of register space and process memory.
+/// First register that a sync manager can control: the digital outputs of a terminal.
+const DIGITAL_OUTPUTS: usize = 0x0F00;
+/// Bytes of register space and process memory of the largest controller.
 const MEMORY: usize = 0x3000;
 /// Most sync managers.
 const SYNC_MANAGERS: usize = 8;
 /// Most fieldbus memory management units.
 const FMMUS: usize = 8;
-/// Features: distributed clocks, and 64-bit distributed clocks.
-const FEATURE_CLOCK: u16 = 0x0004;
-const FEATURE_CLOCK_64: u16 = 0x0008;
+/// Units for which there is register space, existing or not.
+const UNITS: usize = 16;
 
 const _: () = {
-    assert!(register::SYNC_MANAGER + SYNC_MANAGERS * sync_manager::BLOCK <= REGISTER_SPACE);
-    assert!(register::FMMU + FMMUS * fmmu::BLOCK <= register::SYNC_MANAGER);
+    assert!(register::SYNC_MANAGER + UNITS * sync_manager::BLOCK <= clock::BASE);
+    assert!(register::FMMU + UNITS * fmmu::BLOCK <= register::SYNC_MANAGER);
+    assert!(SYNC_MANAGERS <= UNITS && FMMUS <= UNITS);
 };
 
 /// Watchdog divider for 100 us, and 1000 of these units: the defaults after power-up.
 const WATCHDOG_DIVIDER_DEFAULT: u16 = WATCHDOG_DIVIDER_100_US;
 const WATCHDOG_PROCESS_DATA_DEFAULT: u16 = 1000;
+/// Size of the receive FIFO after power-up, in the third byte of the data-link control.
+const RECEIVE_FIFO_DEFAULT: u8 = 7;
 /// Length of the controller's clock tick, nanoseconds.
 const CLOCK_TICK_NS: u64 = 40;
+
+/// Configuration of the controller: device emulation.
+const DEVICE_EMULATION: u8 = 0x01;
+/// Event of the datagrams' interrupt field: the data-link status has changed.
+const EVENT_LINK: u16 = 0x0004;
+/// Access to the information memory: given to the slave's processor.
+const SII_OFFERED: u8 = 0x01;
+/// AL control: state and acknowledge.
+const AL_CONTROL_MASK: u16 = 0x1F;
 
 /// Word addresses of the fields loaded at power-up: interface control, pulse length, alias.
 const WORD_PDI_CONTROL: usize = 0;
@@ -83,6 +95,8 @@ pub(crate) struct Controller {
     now_ns: u64,
     back_ns: Option<u64>,
     processor_alive: bool,
+    /// Whether the data-link status has changed since the bus read it.
+    link_event: bool,
     al_request: Option<u16>,
 }
 
@@ -99,6 +113,7 @@ impl Controller {
             now_ns: 0,
             back_ns: None,
             processor_alive: true,
+            link_event: true,
             al_request: None,
         };
         controller.power_up();
@@ -114,6 +129,7 @@ impl Controller {
         self.fmmus = Default::default();
         self.al_request = None;
         self.describe();
+        self.store(register::DL_CONTROL + 2, &[RECEIVE_FIFO_DEFAULT]);
         self.store(register::WATCHDOG_DIVIDER, &WATCHDOG_DIVIDER_DEFAULT.to_le_bytes());
         self.store(
             register::WATCHDOG_PROCESS_DATA,
@@ -127,6 +143,7 @@ impl Controller {
             self.clock.power_up(registers);
         }
         self.processor_alive = true;
+        self.link_event = true;
         self.load_configuration();
         for index in 0..SYNC_MANAGERS {
             self.mirror(index);
@@ -135,15 +152,10 @@ impl Controller {
 
     fn describe(&mut self) {
         let silicon = self.silicon;
-        let features = match silicon.clock {
-            ClockWidth::None => 0,
-            ClockWidth::Bits32 => FEATURE_CLOCK,
-            ClockWidth::Bits64 => FEATURE_CLOCK | FEATURE_CLOCK_64,
-        };
         self.store(register::TYPE, &silicon.identity);
         let counts = [silicon.fmmus, silicon.sync_managers, silicon.memory_kib, silicon.ports];
         self.store(register::TYPE + silicon.identity.len(), &counts);
-        self.store(register::FEATURES, &u16::to_le_bytes(features));
+        self.store(register::FEATURES, &silicon.feature_register().to_le_bytes());
     }
 
     /// Loads the configuration from the information memory, if its checksum is correct.
@@ -157,6 +169,42 @@ impl Controller {
         self.store(register::STATION_ALIAS, &alias.to_le_bytes());
         if let Some(registers) = self.memory.get_mut(clock::BASE..clock::BASE + clock::LENGTH) {
             DistributedClock::set_pulse_length(registers, pulse);
+        }
+    }
+
+    /// Whether the silicon alone answers state requests, without a processor: device emulation, from the information
+    /// memory.
+    pub(crate) fn is_emulated(&self) -> bool {
+        self.byte(register::PDI_CONTROL + 1) & DEVICE_EMULATION != 0
+    }
+
+    /// Content of the AL status register.
+    pub(crate) fn al_status(&self) -> u16 {
+        self.word(register::AL_STATUS)
+    }
+
+    /// Whether the master lets the slave's processor access the information memory.
+    pub(crate) fn offers_sii(&self) -> bool {
+        self.byte(register::SII_CONFIG) & SII_OFFERED != 0
+    }
+
+    /// Whether the process-data watchdog has expired.
+    pub(crate) fn watchdog_expired(&self) -> bool {
+        self.byte(register::WATCHDOG_STATUS) & 1 == 0
+    }
+
+    /// Puts the inputs of a device without a processor into the memory that the silicon provides for them, and into the
+    /// sync manager there.
+    pub(crate) fn feed(&mut self, index: usize, start: usize, inputs: &[u8]) {
+        if start >= REGISTER_SPACE {
+            self.store(start, inputs);
+        }
+        let here = self
+            .sync_managers
+            .get(index)
+            .is_some_and(|manager| manager.start() == start && manager.is_active());
+        if here {
+            self.with_sync_manager(index, |manager| manager.feed(inputs));
         }
     }
 
@@ -225,23 +273,6 @@ impl Controller {
         self.store(counter, &[count]);
     }
 
-    /// Processes a datagram.
-    pub(crate) fn pass(&mut self, datagram: &mut Datagram) {
-        let command = datagram.command();
-        let device = datagram.device();
-        if command.counts_position() {
-            datagram.set_device(device.wrapping_add(1));
-        }
-        let addressed = match command {
-            Command::Nop => return,
-            Command::Lrd | Command::Lwr | Command::Lrw => return self.logical(datagram, command),
-            Command::Brd | Command::Bwr | Command::Brw => true,
-            Command::Aprd | Command::Apwr | Command::Aprw | Command::Armw => device == 0,
-            Command::Fprd | Command::Fpwr | Command::Fprw | Command::Frmw => self.answers_to(device),
-        };
-        self.physical(datagram, command, addressed);
-    }
-
     /// A state request of the master; returned once.
     pub(crate) fn take_al_request(&mut self) -> Option<u16> {
         self.al_request.take()
@@ -256,7 +287,8 @@ impl Controller {
     /// Sets which ports have a link: bit n for port n; counts lost links.
     pub(crate) fn set_links(&mut self, links: u8) {
         let before = self.word(register::DL_STATUS) >> 4;
-        let mut status = u16::from(self.eeprom.is_valid()) | u16::from(self.processor_alive) << 1;
+        let has_interface = self.byte(register::PDI_CONTROL) != 0;
+        let mut status = u16::from(self.eeprom.is_valid()) | u16::from(self.processor_alive && has_interface) << 1;
         for port in 0..4u16 {
             let linked = u16::from(links) >> port & 1;
             let closed = 1 - linked;
@@ -267,6 +299,7 @@ impl Controller {
                 self.store(counter, &[count]);
             }
         }
+        self.link_event |= status != self.word(register::DL_STATUS);
         self.store(register::DL_STATUS, &status.to_le_bytes());
     }
 
@@ -308,251 +341,6 @@ impl Controller {
         let result = work(manager);
         self.mirror(index);
         result
-    }
-
-    fn answers_to(&self, station: u16) -> bool {
-        let alias_enabled = self.byte(register::DL_CONTROL + 3) & 1 != 0;
-        self.word(register::STATION_ADDRESS) == station
-            || (alias_enabled && self.word(register::STATION_ALIAS) == station)
-    }
-
-    fn physical(&mut self, datagram: &mut Datagram, command: Command, addressed: bool) {
-        let multiple = matches!(command, Command::Armw | Command::Frmw);
-        let broadcast = matches!(command, Command::Brd | Command::Brw);
-        let reads = command.reads() && addressed;
-        let writes = command.writes() && (addressed != multiple);
-        if !reads && !writes {
-            return;
-        }
-        let register = usize::from(datagram.register());
-        let incoming = datagram.data().to_vec();
-        let mut count = 0;
-        if reads {
-            let mut read = vec![0; incoming.len()];
-            if self.read(register, &mut read) {
-                count += 1;
-                if broadcast {
-                    read.iter_mut()
-                        .zip(&incoming)
-                        .for_each(|(byte, passing)| *byte |= passing);
-                }
-                datagram.data_mut().copy_from_slice(&read);
-            }
-        }
-        if writes && self.write(register, &incoming) {
-            count += if reads { 2 } else { 1 };
-        }
-        datagram.count(count);
-    }
-
-    fn logical(&mut self, datagram: &mut Datagram, command: Command) {
-        let (reads, writes) = (command.reads(), command.writes());
-        let logical = datagram.logical_address();
-        let length = datagram.data().len();
-        let incoming = if writes { datagram.data().to_vec() } else { Vec::new() };
-        let (mut has_read, mut has_written) = (false, false);
-        for unit in self.fmmus.into_iter().flatten() {
-            let Some(overlap) = unit.overlap(logical, length) else {
-                continue;
-            };
-            if reads && unit.reads {
-                has_read |= self.read_mapped(overlap, datagram.data_mut());
-            }
-            if writes && unit.writes {
-                has_written |= self.write_mapped(overlap, &incoming);
-            }
-        }
-        let written = if reads { 2 } else { 1 };
-        datagram.count(u16::from(has_read) + if has_written { written } else { 0 });
-    }
-
-    fn read_mapped(&mut self, overlap: Overlap, data: &mut [u8]) -> bool {
-        match overlap {
-            Overlap::Bytes {
-                offset,
-                address,
-                length,
-            } => data
-                .get_mut(offset..offset + length)
-                .is_some_and(|into| self.read_or_keep(usize::from(address), into)),
-            Overlap::Bits {
-                offset_bits,
-                physical_bits,
-                count,
-            } => {
-                let mut bytes = vec![0; (physical_bits % 8 + count).div_ceil(8)];
-                let read = self.read(physical_bits / 8, &mut bytes);
-                for index in (0..count).filter(|_| read) {
-                    set_bit(data, offset_bits + index, bit(&bytes, physical_bits % 8 + index));
-                }
-                read
-            }
-        }
-    }
-
-    fn write_mapped(&mut self, overlap: Overlap, data: &[u8]) -> bool {
-        match overlap {
-            Overlap::Bytes {
-                offset,
-                address,
-                length,
-            } => data
-                .get(offset..offset + length)
-                .is_some_and(|from| self.write(usize::from(address), from)),
-            Overlap::Bits {
-                offset_bits,
-                physical_bits,
-                count,
-            } => {
-                let start = physical_bits / 8;
-                let length = (physical_bits % 8 + count).div_ceil(8);
-                let Some(present) = self.memory.get(start..start + length) else {
-                    return false;
-                };
-                let mut bytes = present.to_vec();
-                for index in 0..count {
-                    set_bit(&mut bytes, physical_bits % 8 + index, bit(data, offset_bits + index));
-                }
-                self.write(start, &bytes)
-            }
-        }
-    }
-
-    /// Reads into a part of a datagram; leaves it unchanged if nothing could be read.
-    fn read_or_keep(&mut self, address: usize, into: &mut [u8]) -> bool {
-        let mut read = into.to_vec();
-        let success = self.read(address, &mut read);
-        if success {
-            into.copy_from_slice(&read);
-        }
-        success
-    }
-
-    /// Reads registers or memory; true if anything could be read.
-    fn read(&mut self, address: usize, into: &mut [u8]) -> bool {
-        if address < clock::BASE + clock::LENGTH
-            && address + into.len() > clock::BASE
-            && let Some(registers) = self.memory.get_mut(clock::BASE..clock::BASE + clock::LENGTH)
-        {
-            self.clock.show(registers);
-        }
-        let mut success = false;
-        let mut done = 0;
-        while let Some((manager, length)) = self.stretch(address + done, into.len() - done) {
-            let at = address + done;
-            let Some(part) = into.get_mut(done..done + length) else {
-                break;
-            };
-            success |= match manager {
-                Some(index) => self.with_sync_manager(index, |manager| manager.bus_read(at - manager.start(), part)),
-                None => self.memory.get(at..at + length).is_some_and(|source| {
-                    part.copy_from_slice(source);
-                    true
-                }),
-            };
-            done += length;
-        }
-        success
-    }
-
-    /// Writes registers or memory; true if anything could be written.
-    fn write(&mut self, address: usize, data: &[u8]) -> bool {
-        let mut success = false;
-        let mut done = 0;
-        while let Some((manager, length)) = self.stretch(address + done, data.len() - done) {
-            let at = address + done;
-            let Some(part) = data.get(done..done + length) else {
-                break;
-            };
-            success |= match manager {
-                Some(index) => {
-                    let written =
-                        self.with_sync_manager(index, |manager| manager.bus_write(at - manager.start(), part));
-                    written && self.store(at, part)
-                }
-                None if at < REGISTER_SPACE => self.write_registers(at, part),
-                None => self.store(at, part),
-            };
-            done += length;
-        }
-        success
-    }
-
-    /// For up to `wanted` bytes at an address: the sync manager that controls the first byte, if any, and the number of
-    /// bytes under this control. `None` at the end of the memory or of the request.
-    fn stretch(&self, at: usize, wanted: usize) -> Option<(Option<usize>, usize)> {
-        let mut end = if at < REGISTER_SPACE { REGISTER_SPACE } else { MEMORY };
-        let mut governor = None;
-        for (index, manager) in self.sync_managers.iter().enumerate() {
-            if !manager.is_active() || manager.start() < REGISTER_SPACE || manager.end() > MEMORY {
-                continue;
-            }
-            if governor.is_none() && (manager.start()..manager.end()).contains(&at) {
-                governor = Some(index);
-                end = end.min(manager.end());
-            } else if manager.start() > at {
-                end = end.min(manager.start());
-            }
-        }
-        let length = end.checked_sub(at)?.min(wanted);
-        (length > 0).then_some((governor, length))
-    }
-
-    fn write_registers(&mut self, start: usize, data: &[u8]) -> bool {
-        let touches = |from: usize, length: usize| start < from + length && from < start + data.len();
-        let unread = self.al_request.is_some();
-        let mut success = false;
-        for (offset, value) in data.iter().enumerate() {
-            let at = start + offset;
-            if unread && (register::AL_CONTROL..register::AL_CONTROL + 2).contains(&at) {
-                continue;
-            }
-            if self.clock.exists() && (clock::BASE..clock::BASE + clock::TIMES_LENGTH).contains(&at) {
-                success = true;
-            } else if register::is_counter(at) {
-                success |= self.store(at, &[0]);
-            } else if !register::is_read_only(at) {
-                success |= self.store(at, &[*value]);
-            }
-        }
-        if touches(register::AL_CONTROL, 1) && !unread {
-            self.al_request = Some(self.word(register::AL_CONTROL));
-        }
-        if let Some(registers) = self.memory.get_mut(eeprom::BASE..eeprom::BASE + eeprom::LENGTH) {
-            if touches(register::SII_CONFIG, 1) {
-                self.eeprom.configure(registers);
-            }
-            if touches(register::SII_CONTROL, 2) {
-                self.eeprom.command(registers, self.now_ns);
-            }
-        }
-        if touches(clock::BASE, clock::LENGTH)
-            && let Some(registers) = self.memory.get_mut(clock::BASE..clock::BASE + clock::LENGTH)
-        {
-            // A write may begin before the clock's registers; that part does not belong to the clock.
-            let skipped = clock::BASE.saturating_sub(start);
-            let data = data.get(skipped..).unwrap_or_default();
-            self.clock
-                .written(registers, start.saturating_sub(clock::BASE), data, self.back_ns);
-        }
-        for index in 0..FMMUS {
-            let at = register::FMMU + index * fmmu::BLOCK;
-            if touches(at, fmmu::BLOCK)
-                && let Some(unit) = self.fmmus.get_mut(index)
-                && let Some(&block) = self.memory.get(at..).and_then(|rest| rest.first_chunk())
-            {
-                *unit = Fmmu::from_block(block);
-            }
-        }
-        for index in 0..SYNC_MANAGERS {
-            let at = register::SYNC_MANAGER + index * sync_manager::BLOCK;
-            if touches(at, sync_manager::BLOCK)
-                && let Some(&block) = self.memory.get(at..).and_then(|rest| rest.first_chunk())
-            {
-                self.with_sync_manager(index, |manager| manager.configure(block));
-            }
-        }
-        success
     }
 
     /// Updates a sync manager's flags in its registers.

@@ -1,5 +1,11 @@
 //! Type of a slave controller, as its first registers report it.
 
+/// Features: distributed clocks, and 64-bit distributed clocks.
+const FEATURE_CLOCK: u16 = 0x0004;
+const FEATURE_CLOCK_64: u16 = 0x0008;
+/// Feature that goes with 64-bit clocks here: enhanced link detection (MII).
+const FEATURE_ENHANCED_LINK: u16 = 0x0040;
+
 /// The slave controller's silicon, registers 0x0000 to 0x0009.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Silicon {
@@ -11,8 +17,10 @@ pub(crate) struct Silicon {
     pub(crate) sync_managers: u8,
     /// Process memory, KiB.
     pub(crate) memory_kib: u8,
-    /// Kind of each port, two bits each: 0 none, 2 EBUS, 3 MII.
+    /// Kind of each port, two bits each: 0 none, 1 not configured, 2 EBUS, 3 MII.
     pub(crate) ports: u8,
+    /// Features of the silicon with a 64-bit clock.
+    pub(crate) features: u16,
     /// Width of the distributed clock.
     pub(crate) clock: ClockWidth,
 }
@@ -22,6 +30,8 @@ pub(crate) struct Silicon {
 pub enum ClockWidth {
     /// No distributed clock.
     None,
+    /// Receive times of the ports only: no system time and no SYNC unit, although the features announce a clock.
+    DelayOnly,
     /// 32 bits: system time wraps after 4.29 s.
     Bits32,
     /// 64 bits.
@@ -36,6 +46,51 @@ impl Silicon {
         sync_managers: 8,
         memory_kib: 8,
         ports: 0x0F,
+        features: 0x01CC,
         clock: ClockWidth::Bits64,
     };
+
+    /// The controller of a coupler: MII, E-bus, MII.
+    pub(crate) const COUPLER: Self = Self {
+        ports: 0x3B,
+        features: 0x00FC,
+        ..Self::ET1100
+    };
+
+    /// The small controller of a terminal between two E-bus neighbours. It measures delays and has no clock.
+    pub(crate) const TERMINAL: Self = Self {
+        identity: [0x12, 0x01, 0x02, 0x00],
+        fmmus: 3,
+        sync_managers: 4,
+        memory_kib: 1,
+        ports: 0x4A,
+        features: 0x01FC,
+        clock: ClockWidth::DelayOnly,
+    };
+
+    /// A controller with integrated Ethernet, as on evaluation boards.
+    pub(crate) const LAN9252: Self = Self {
+        identity: [0xC0, 0x02, 0x00, 0x00],
+        fmmus: 3,
+        sync_managers: 4,
+        memory_kib: 4,
+        ports: 0x1F,
+        ..Self::ET1100
+    };
+
+    /// Content of the feature register, which depends on the clock.
+    pub(crate) fn feature_register(&self) -> u16 {
+        match self.clock {
+            ClockWidth::None => self.features & !(FEATURE_CLOCK | FEATURE_CLOCK_64),
+            ClockWidth::Bits32 => self.features & !(FEATURE_CLOCK_64 | FEATURE_ENHANCED_LINK),
+            ClockWidth::DelayOnly | ClockWidth::Bits64 => self.features,
+        }
+    }
+}
+
+impl ClockWidth {
+    /// Whether there is a system time.
+    pub(crate) fn has_system_time(self) -> bool {
+        matches!(self, Self::Bits32 | Self::Bits64)
+    }
 }

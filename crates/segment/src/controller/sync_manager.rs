@@ -3,16 +3,23 @@
 //! Buffered mode: one side writes a whole buffer, the other side always sees the last complete one. The three rotating
 //! buffers of the silicon are two here (filling and complete). That is equivalent as long as one side does not read
 //! while the other swaps; frames and application never overlap here. Mailbox mode: full until the other side has
-//! read the message to its last byte. Register layout: sync manager registers 0x0800 to 0x087F of the slave
-//! controller's register description.
+//! read the message to its last byte. The first byte opens a buffer and the last byte hands it over; the bytes between
+//! need not be touched. The slave's side can deactivate a sync manager: its area is locked for the bus then. Register
+//! layout: sync manager registers 0x0800 to 0x087F of the slave controller's register description.
 
 const CONTROL_MODE_MASK: u8 = 0x03;
 const CONTROL_MODE_MAILBOX: u8 = 0x02;
 const CONTROL_DIRECTION_MASK: u8 = 0x0C;
 const CONTROL_DIRECTION_BUS_WRITES: u8 = 0x04;
 const CONTROL_WATCHDOG: u8 = 0x40;
+const STATUS_WRITTEN: u8 = 0x01;
+const STATUS_READ: u8 = 0x02;
 const STATUS_MAILBOX_FULL: u8 = 0x08;
-const STATUS_NO_BUFFER_WRITTEN: u8 = 0x30;
+const STATUS_BUFFER_SHIFT: u8 = 4;
+/// Number of buffers, and the number that says that none was written.
+const BUFFERS: u8 = 3;
+const STATUS_NO_BUFFER_WRITTEN: u8 = BUFFERS << STATUS_BUFFER_SHIFT;
+const PDI_DEACTIVATE: u8 = 0x01;
 const ACTIVATE_ENABLE: u8 = 0x01;
 const REPEAT: u8 = 0x02;
 
@@ -21,6 +28,8 @@ pub(crate) const BLOCK: usize = 8;
 /// Offsets inside the block.
 pub(crate) const STATUS_OFFSET: usize = 5;
 pub(crate) const PDI_CONTROL_OFFSET: usize = 7;
+/// Bytes of start, length and control: not writable while the sync manager is enabled.
+pub(crate) const LOCKED_LENGTH: usize = 5;
 
 /// Configuration and content of one sync manager.
 #[derive(Clone, Debug, Default)]
@@ -28,6 +37,8 @@ pub(crate) struct SyncManager {
     start: usize,
     control: u8,
     enabled: bool,
+    /// Whether the slave's side has deactivated the sync manager.
+    deactivated: bool,
     repeat_requested: bool,
     repeat_acknowledged: bool,
     filling: Vec<u8>,
@@ -36,6 +47,11 @@ pub(crate) struct SyncManager {
     full: bool,
     ever_written: bool,
     written_since_look: bool,
+    /// Flags of the status: a buffer was written completely, or read completely.
+    was_written: bool,
+    was_read: bool,
+    /// Number of the buffer written last.
+    buffer: u8,
 }
 
 impl SyncManager {
@@ -52,6 +68,7 @@ impl SyncManager {
                 start,
                 control,
                 enabled,
+                deactivated: self.deactivated,
                 filling: vec![0; length],
                 ..Self::default()
             };
@@ -79,7 +96,13 @@ impl SyncManager {
         self.complete.len()
     }
 
-    /// Whether the sync manager is enabled.
+    /// Whether the bus has enabled the sync manager, whatever its length.
+    #[inline]
+    pub(crate) fn is_enabled(&self) -> bool {
+        self.enabled
+    }
+
+    /// Whether the sync manager controls an area: it is enabled and has a length.
     #[inline]
     pub(crate) fn is_active(&self) -> bool {
         self.enabled && !self.complete.is_empty()
@@ -105,22 +128,41 @@ impl SyncManager {
 
     /// The status register's content.
     pub(crate) fn status(&self) -> u8 {
-        let full = if self.is_mailbox() && self.full {
-            STATUS_MAILBOX_FULL
-        } else {
-            0
+        if !self.enabled {
+            return STATUS_NO_BUFFER_WRITTEN;
+        }
+        let flag = |set, bit| if set { bit } else { 0 };
+        let content = match (self.is_mailbox(), self.ever_written) {
+            (true, _) => flag(self.full, STATUS_MAILBOX_FULL),
+            (false, true) => self.buffer << STATUS_BUFFER_SHIFT,
+            (false, false) => STATUS_NO_BUFFER_WRITTEN,
         };
-        full | STATUS_NO_BUFFER_WRITTEN
+        content | flag(self.was_written, STATUS_WRITTEN) | flag(self.was_read, STATUS_READ)
     }
 
-    /// The register written by the slave's side: the acknowledgement of a repeat request.
+    /// The register written by the slave's side: deactivation, and the acknowledgement of a repeat request.
     pub(crate) fn pdi_control(&self) -> u8 {
-        if self.repeat_acknowledged { REPEAT } else { 0 }
+        let deactivated = if self.deactivated { PDI_DEACTIVATE } else { 0 };
+        deactivated | if self.repeat_acknowledged { REPEAT } else { 0 }
+    }
+
+    /// Whether the slave's side has deactivated the sync manager.
+    pub(crate) fn is_deactivated(&self) -> bool {
+        self.deactivated
+    }
+
+    /// The slave's side deactivates the sync manager, which loses its content, or activates it.
+    pub(crate) fn set_deactivated(&mut self, deactivated: bool) {
+        if deactivated && !self.deactivated {
+            self.clear();
+        }
+        self.deactivated = deactivated;
     }
 
     /// A read by the bus, `offset` bytes into the area; false if the silicon refuses it.
     pub(crate) fn bus_read(&mut self, offset: usize, into: &mut [u8]) -> bool {
-        if self.is_bus_written() || (self.is_mailbox() && !self.full) || !self.ever_written {
+        let empty = (self.is_mailbox() && !self.full) || !self.ever_written;
+        if self.deactivated || self.is_bus_written() || empty {
             return false;
         }
         self.open |= offset == 0;
@@ -135,13 +177,14 @@ impl SyncManager {
         if end == self.complete.len() {
             self.open = false;
             self.full = false;
+            (self.was_written, self.was_read) = (false, true);
         }
         true
     }
 
     /// A write by the bus, `offset` bytes into the area; false if the silicon refuses it.
     pub(crate) fn bus_write(&mut self, offset: usize, data: &[u8]) -> bool {
-        if !self.is_bus_written() || (self.is_mailbox() && self.full) {
+        if self.deactivated || !self.is_bus_written() || (self.is_mailbox() && self.full) {
             return false;
         }
         self.open |= offset == 0;
@@ -155,12 +198,22 @@ impl SyncManager {
         target.copy_from_slice(data);
         if end == self.filling.len() {
             self.complete.copy_from_slice(&self.filling);
-            self.open = false;
-            self.full = true;
-            self.ever_written = true;
             self.written_since_look = true;
+            self.hand_over();
         }
         true
+    }
+
+    /// Completes a buffer.
+    fn hand_over(&mut self) {
+        self.buffer = match self.ever_written {
+            true => (self.buffer + 1) % BUFFERS,
+            false => 0,
+        };
+        self.open = false;
+        self.full = true;
+        self.ever_written = true;
+        (self.was_written, self.was_read) = (true, false);
     }
 
     /// The slave's side takes a mailbox message, if there is one.
@@ -169,6 +222,7 @@ impl SyncManager {
             return None;
         }
         self.full = false;
+        (self.was_written, self.was_read) = (false, true);
         Some(self.complete.clone())
     }
 
@@ -179,7 +233,7 @@ impl SyncManager {
 
     /// The slave's side writes a buffer or a message; shorter content is padded with zeros.
     pub(crate) fn put(&mut self, content: &[u8]) {
-        if !self.is_active() || self.is_bus_written() {
+        if !self.is_active() || self.deactivated || self.is_bus_written() {
             return;
         }
         for (target, source) in self
@@ -189,9 +243,14 @@ impl SyncManager {
         {
             *target = *source;
         }
-        self.open = false;
-        self.full = true;
-        self.ever_written = true;
+        self.hand_over();
+    }
+
+    /// The device's inputs without a processor: they are in the buffer whenever the bus does not just read it.
+    pub(crate) fn feed(&mut self, content: &[u8]) {
+        if !self.open {
+            self.put(content);
+        }
     }
 
     /// The last complete buffer written by the bus; `None` before the first.
@@ -220,6 +279,7 @@ impl SyncManager {
         self.full = false;
         self.ever_written = false;
         self.written_since_look = false;
+        (self.was_written, self.was_read) = (false, false);
     }
 }
 
@@ -264,6 +324,38 @@ mod tests {
         assert!(manager.bus_read(0, &mut into));
         assert_eq!(into, [5, 0]);
         assert!(!manager.bus_read(0, &mut into));
+    }
+
+    #[test]
+    fn the_status_tells_who_was_last_and_which_buffer() {
+        let mut mailbox = manager(0x22, 2);
+        let mut seen = vec![mailbox.status()];
+        mailbox.put(&[1, 2]);
+        seen.push(mailbox.status());
+        assert!(mailbox.bus_read(0, &mut [0; 2]));
+        seen.push(mailbox.status());
+        assert_eq!(seen, [0x00, 0x09, 0x02], "as an AKD's");
+        let mut buffers = manager(0x64, 1);
+        let mut seen = vec![buffers.status()];
+        for _ in 0..4 {
+            assert!(buffers.bus_write(0, &[1]));
+            seen.push(buffers.status());
+        }
+        assert_eq!(seen, [0x30, 0x01, 0x11, 0x21, 0x01]);
+        buffers.configure([0; BLOCK]);
+        assert_eq!(buffers.status(), 0x30);
+    }
+
+    #[test]
+    fn a_deactivated_area_is_locked() {
+        let mut manager = manager(0x64, 1);
+        assert!(manager.bus_write(0, &[7]));
+        manager.set_deactivated(true);
+        assert!(!manager.bus_write(0, &[8]));
+        assert_eq!((manager.pdi_control(), manager.outputs()), (PDI_DEACTIVATE, None));
+        manager.set_deactivated(false);
+        assert_eq!(manager.outputs(), None, "the old content is lost");
+        assert!(manager.bus_write(0, &[9]));
     }
 
     #[test]

@@ -1,7 +1,9 @@
 //! A bus coupler like Beckhoff's EK1100: no mailbox, no process data, only a place in the chain and a clock.
+//!
+//! The controller emulates the device: it answers state requests itself.
 
-use crate::controller::silicon::{ClockWidth, Silicon};
-use crate::devices::Device;
+use crate::controller::silicon::Silicon;
+use crate::devices::{Device, ProcessManagers};
 use crate::drive::servo::Servo;
 use crate::eeprom::sii::{self, Description};
 use crate::eeprom::windows::Windows;
@@ -12,6 +14,10 @@ use etherpen_ethercat::wire::sii::Identity;
 
 const NAME: &str = "EK1100 EtherCAT Coupler";
 const ORDER: &str = "EK1100";
+/// No process interface; device emulation, and the units of the clock powered.
+const CONFIGURATION: u16 = 0x0D00;
+/// Current for the E-bus, which a coupler supplies.
+const SUPPLIED_MA: i16 = -2000;
 
 /// The device behind one slave controller. It may replace a drive, whose motor then rests on its brake.
 #[derive(Clone, Debug)]
@@ -34,27 +40,28 @@ impl Device for Coupler {
             identity: Identity {
                 vendor: 0x0000_0002,
                 product: 0x044C_2C52,
-                revision: 0x0011_0000,
+                revision: 0x0012_0000,
                 serial: 0,
             },
             name: NAME,
             order: ORDER,
-            windows: Windows::default(),
-            details: 0,
-            process_data: &ProcessData::default(),
+            configuration: CONFIGURATION,
+            current_ma: SUPPLIED_MA,
             ports: self.silicon().ports,
+            ..Description::default()
         })
     }
 
     fn silicon(&self) -> Silicon {
-        Silicon {
-            identity: [0x02, 0x00, 0x02, 0x00],
-            fmmus: 2,
-            sync_managers: 0,
-            memory_kib: 4,
-            ports: 0x0B,
-            clock: ClockWidth::Bits64,
-        }
+        Silicon::COUPLER
+    }
+
+    fn has_processor(&self) -> bool {
+        false
+    }
+
+    fn process_managers(&self) -> ProcessManagers {
+        ProcessManagers::default()
     }
 
     fn windows(&self) -> Windows {

@@ -1,24 +1,32 @@
 //! A slave made from an information memory image: the registers and lists of a real device, without function.
 //!
-//! Identity, mailboxes, sync managers and process-data objects follow the image. Identity objects and process-data
-//! lists are served, inputs are zero, outputs are ignored. Missing or damaged parts of the image are missing here too;
-//! no image can cause a panic or an endless loop.
+//! Identity, mailboxes, sync managers and process-data objects follow the image, and so does the kind of slave: with
+//! device emulation it is a terminal on a small controller, whose inputs and outputs are the bytes of its sync managers.
+//! Otherwise a processor serves identity objects and process-data lists. Inputs are what a test or a machine sets,
+//! outputs can be read by them. No image can cause a panic or an endless loop.
 
-use crate::devices::Device;
-use crate::eeprom::windows::Windows;
+use crate::controller::silicon::Silicon;
+use crate::devices::{Device, Io, ProcessManager, ProcessManagers};
+use crate::eeprom::content::Content;
+use crate::eeprom::windows::{SyncManagerDefault, Windows};
 use crate::mailbox::dictionary::{DataType, Dictionary, ObjectRow, Value, access, record, variable};
 use crate::mailbox::live_objects::LiveObjects;
-use crate::mailbox::process_data::{Pdo, PdoEntry, ProcessData};
-use etherpen_ethercat::wire::sii::{
-    CATEGORY_END, CATEGORY_GENERAL, CATEGORY_RX_PDO, CATEGORY_STRINGS, CATEGORY_SYNC_MANAGER, CATEGORY_TX_PDO,
-    FixedPart, WORD_CATEGORIES,
-};
+use crate::mailbox::process_data::ProcessData;
 
-/// Most categories before a chain counts as endless.
-const CATEGORIES_MAX: usize = 64;
 /// Addresses of process data if the image has no sync managers for them.
 const OUTPUTS_DEFAULT: u16 = 0x1100;
 const INPUTS_DEFAULT: u16 = 0x1400;
+/// Uses of sync managers.
+const MAILBOX_OUT: u8 = 1;
+const MAILBOX_IN: u8 = 2;
+const OUTPUTS: u8 = 3;
+const INPUTS: u8 = 4;
+/// Sync manager without hardware.
+const VIRTUAL: u8 = 0x04;
+/// Most FMMUs or sync managers of a controller.
+const UNITS_MAX: u8 = 8;
+/// Size of a blank information memory.
+const BLANK_BYTES: usize = 2048;
 
 const OBJECTS: &[ObjectRow] = &[
     variable(
@@ -48,49 +56,150 @@ const OBJECTS: &[ObjectRow] = &[
 #[derive(Clone, Debug)]
 pub(crate) struct ImageDevice {
     image: Vec<u8>,
-    name: String,
+    content: Content,
+    silicon: Silicon,
     windows: Windows,
     process_data: ProcessData,
+    managers: ProcessManagers,
+    has_processor: bool,
+    io: Io,
 }
 
 impl ImageDevice {
     /// A slave with this information memory.
     pub(crate) fn new(image: Vec<u8>) -> Self {
-        let fixed = FixedPart::parse(&image).unwrap_or_default();
-        let mut windows = Windows {
-            mailbox_out: fixed.mailbox_out,
-            mailbox_in: fixed.mailbox_in,
-            outputs: OUTPUTS_DEFAULT,
-            inputs: INPUTS_DEFAULT,
-        };
-        let (mut pdos, mut assigned) = (Vec::new(), [Vec::new(), Vec::new()]);
-        let (mut strings, mut name_number) = (Vec::new(), 0);
-        for (kind, body) in categories(&image) {
-            match kind {
-                CATEGORY_STRINGS => strings = texts(body),
-                CATEGORY_GENERAL => name_number = body.get(3).copied().unwrap_or(0),
-                CATEGORY_SYNC_MANAGER => take_windows(body, &mut windows),
-                CATEGORY_RX_PDO | CATEGORY_TX_PDO => {
-                    let [outputs, inputs] = &mut assigned;
-                    let assigned = if kind == CATEGORY_RX_PDO { outputs } else { inputs };
-                    take_pdos(body, &mut pdos, assigned);
-                }
+        let content = Content::parse(&image);
+        let windows = windows(&content);
+        let managers = process_managers(&content, &windows);
+        let bytes = |managers: &[ProcessManager]| managers.iter().filter_map(|manager| manager.bytes).sum();
+        let silicon = silicon(&content);
+        Self {
+            silicon,
+            windows,
+            process_data: process_data(&content),
+            has_processor: !content.is_emulated,
+            io: Io {
+                inputs: vec![0; bytes(&managers.inputs)],
+                outputs: vec![0; bytes(&managers.outputs)],
+            },
+            managers,
+            content,
+            image,
+        }
+    }
+
+    /// The slave on another controller.
+    pub(crate) fn on(self, silicon: Silicon) -> Self {
+        Self { silicon, ..self }
+    }
+
+    /// A board whose information memory was never written: no processor can start from it.
+    pub(crate) fn blank() -> Self {
+        let device = Self::new(vec![0xFF; BLANK_BYTES]).on(Silicon::LAN9252);
+        Self {
+            has_processor: false,
+            ..device
+        }
+    }
+}
+
+/// The silicon for an image: it has the units that the image uses, and those of the smallest controllers at least.
+fn silicon(content: &Content) -> Silicon {
+    let units = |used: usize, least: u8| match used {
+        0 => None,
+        used => Some(u8::try_from(used).unwrap_or(UNITS_MAX).clamp(least, UNITS_MAX)),
+    };
+    let small = Silicon::TERMINAL;
+    let fmmus = units(content.fmmus, small.fmmus);
+    let sync_managers = units(content.sync_managers.len(), small.sync_managers);
+    let is_coupler = content.sync_managers.is_empty();
+    let base = match (content.is_emulated, content.has_clock) {
+        (true, false) => small,
+        (true, true) if is_coupler => Silicon::COUPLER,
+        (true, true) => Silicon {
+            clock: Silicon::COUPLER.clock,
+            features: Silicon::COUPLER.features,
+            ..small
+        },
+        (false, _) => Silicon::ET1100,
+    };
+    Silicon {
+        fmmus: fmmus.unwrap_or(base.fmmus),
+        sync_managers: sync_managers.unwrap_or(base.sync_managers),
+        ..base
+    }
+}
+
+fn windows(content: &Content) -> Windows {
+    let mut windows = Windows {
+        mailbox_out: content.fixed.mailbox_out,
+        mailbox_in: content.fixed.mailbox_in,
+        outputs: OUTPUTS_DEFAULT,
+        inputs: INPUTS_DEFAULT,
+    };
+    for manager in &content.sync_managers {
+        let (start, length) = (manager.start, manager.length);
+        match manager.kind {
+            MAILBOX_OUT => (windows.mailbox_out.start, windows.mailbox_out.length) = (start, length),
+            MAILBOX_IN => (windows.mailbox_in.start, windows.mailbox_in.length) = (start, length),
+            OUTPUTS => windows.outputs = start,
+            INPUTS => windows.inputs = start,
+            _ => {}
+        }
+    }
+    windows
+}
+
+/// The sync managers of the process data. With a mailbox, the length of the only one of a direction follows the
+/// assignment if the image lists PDOs; all others have the length in the image, or that of their PDOs.
+fn process_managers(content: &Content, windows: &Windows) -> ProcessManagers {
+    let of_kind = |kind: u8| -> Vec<ProcessManager> {
+        let is_real = |manager: &SyncManagerDefault| manager.kind == kind && manager.activate & VIRTUAL == 0;
+        let list = content.sync_managers.iter().enumerate();
+        let managers = list.filter(|(_, manager)| is_real(manager)).map(|(number, manager)| {
+            let bytes = match manager.length {
+                0 => content.pdo_bytes(number),
+                length => usize::from(length),
+            };
+            ProcessManager {
+                number,
+                start: manager.start.into(),
+                bytes: Some(bytes),
+            }
+        });
+        managers.collect()
+    };
+    let mut managers = ProcessManagers {
+        outputs: of_kind(OUTPUTS),
+        inputs: of_kind(INPUTS),
+    };
+    if windows.has_mailbox() {
+        let has_pdos = |number| content.pdo_bytes(number) > 0;
+        let standard = ProcessManagers::standard(windows);
+        for (list, standard) in [
+            (&mut managers.outputs, standard.outputs),
+            (&mut managers.inputs, standard.inputs),
+        ] {
+            match list.as_mut_slice() {
+                [] => *list = standard,
+                [only] if only.bytes == Some(0) || has_pdos(only.number) => only.bytes = None,
                 _ => {}
             }
         }
-        let name = usize::from(name_number)
-            .checked_sub(1)
-            .and_then(|at| strings.get(at).cloned())
-            .unwrap_or_default();
-        let [outputs, inputs] = assigned;
-        let process_data = ProcessData::new(pdos, &outputs, &inputs, usize::from(ProcessData::ASSIGNED_MAX));
-        Self {
-            image,
-            name,
-            windows,
-            process_data,
-        }
     }
+    managers
+}
+
+fn process_data(content: &Content) -> ProcessData {
+    let assigned = |is_output: bool| -> Vec<u16> {
+        let pdos = content.pdos.iter();
+        let assigned = pdos.filter(|entry| entry.pdo.is_output() == is_output && entry.manager != 0xFF);
+        let indices = assigned.map(|entry| entry.pdo.index);
+        indices.take(ProcessData::ASSIGNED_MAX.into()).collect()
+    };
+    let pdos = content.pdos.iter().map(|entry| entry.pdo.clone()).collect();
+    let most = usize::from(ProcessData::ASSIGNED_MAX);
+    ProcessData::new(pdos, &assigned(true), &assigned(false), most)
 }
 
 impl LiveObjects for ImageDevice {}
@@ -98,6 +207,14 @@ impl LiveObjects for ImageDevice {}
 impl Device for ImageDevice {
     fn image(&self) -> Vec<u8> {
         self.image.clone()
+    }
+
+    fn silicon(&self) -> Silicon {
+        self.silicon
+    }
+
+    fn has_processor(&self) -> bool {
+        self.has_processor
     }
 
     fn windows(&self) -> Windows {
@@ -108,109 +225,34 @@ impl Device for ImageDevice {
         self.process_data.clone()
     }
 
+    fn process_managers(&self) -> ProcessManagers {
+        self.managers.clone()
+    }
+
     fn dictionary(&self) -> Dictionary {
         let mut dictionary = Dictionary::default();
         dictionary.add_table(OBJECTS);
-        dictionary.add_text(0x1008, "Device name", &self.name);
-        dictionary.add_identity(&FixedPart::parse(&self.image).unwrap_or_default().identity);
+        dictionary.add_text(0x1008, "Device name", &self.content.name);
+        dictionary.add_identity(&self.content.fixed.identity);
         self.process_data.describe(&mut dictionary);
         dictionary
     }
 
+    fn io(&self) -> Option<&Io> {
+        Some(&self.io)
+    }
+
+    fn io_mut(&mut self) -> Option<&mut Io> {
+        Some(&mut self.io)
+    }
+
+    fn step(&mut self, operational: bool) {
+        if !operational {
+            self.io.outputs.fill(0);
+        }
+    }
+
     fn boxed_clone(&self) -> Box<dyn Device> {
         Box::new(self.clone())
-    }
-}
-
-/// Category numbers and bodies; a body that exceeds the image is cut, and the chain ends there.
-fn categories(image: &[u8]) -> Vec<(u16, &[u8])> {
-    let mut found = Vec::new();
-    let mut rest = image.get(2 * usize::from(WORD_CATEGORIES)..).unwrap_or_default();
-    while let Some((&[kind_low, kind_high, words_low, words_high], body)) = rest.split_first_chunk() {
-        let kind = u16::from_le_bytes([kind_low, kind_high]);
-        let bytes = 2 * usize::from(u16::from_le_bytes([words_low, words_high]));
-        if kind == CATEGORY_END || found.len() >= CATEGORIES_MAX {
-            break;
-        }
-        let (body, behind) = body.split_at_checked(bytes).unwrap_or((body, &[]));
-        found.push((kind, body));
-        rest = behind;
-    }
-    found
-}
-
-fn texts(body: &[u8]) -> Vec<String> {
-    let mut found = Vec::new();
-    let Some((&count, mut rest)) = body.split_first() else {
-        return found;
-    };
-    for _ in 0..count {
-        let Some((&length, behind)) = rest.split_first() else {
-            break;
-        };
-        let (text, behind) = behind.split_at_checked(usize::from(length)).unwrap_or((behind, &[]));
-        let text: Vec<u8> = text.iter().copied().take_while(|byte| *byte != 0).collect();
-        found.push(String::from_utf8_lossy(&text).into_owned());
-        rest = behind;
-    }
-    found
-}
-
-fn take_windows(body: &[u8], windows: &mut Windows) {
-    let (managers, _) = body.as_chunks::<8>();
-    for &[start_low, start_high, length_low, length_high, _, _, _, kind] in managers {
-        let start = u16::from_le_bytes([start_low, start_high]);
-        let length = u16::from_le_bytes([length_low, length_high]);
-        match kind {
-            1 => (windows.mailbox_out.start, windows.mailbox_out.length) = (start, length),
-            2 => (windows.mailbox_in.start, windows.mailbox_in.length) = (start, length),
-            3 => windows.outputs = start,
-            4 => windows.inputs = start,
-            _ => {}
-        }
-    }
-}
-
-fn take_pdos(body: &[u8], pdos: &mut Vec<Pdo>, assigned: &mut Vec<u16>) {
-    let mut rest = body;
-    while let Some((&[low, high, count, manager, _, _, _, _], behind)) = rest.split_first_chunk() {
-        let index = u16::from_le_bytes([low, high]);
-        let bytes = 8 * usize::from(count);
-        let (list, behind) = behind.split_at_checked(bytes).unwrap_or((behind, &[]));
-        let (entries, _) = list.as_chunks::<8>();
-        let entry = |&[low, high, sub, _, _, bits, _, _]: &[u8; 8]| PdoEntry {
-            index: u16::from_le_bytes([low, high]),
-            sub,
-            bits,
-        };
-        let entries: Vec<PdoEntry> = entries.iter().map(entry).collect();
-        let known = pdos.iter().any(|pdo: &Pdo| pdo.index == index);
-        if (0x1600..0x1C00).contains(&index) && !known {
-            pdos.push(Pdo::new(index, "Process data", true, &entries));
-            if manager != 0xFF && assigned.len() < usize::from(ProcessData::ASSIGNED_MAX) {
-                assigned.push(index);
-            }
-        }
-        rest = behind;
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn no_image_breaks_it() {
-        let mut random = crate::random::Random::new(5);
-        for round in 0..2_000u64 {
-            let mut image: Vec<u8> = (0..random.bits() % 600).map(|_| random.bits() as u8).collect();
-            if let Some(kind) = image.get_mut(128..130).filter(|_| round % 2 == 0) {
-                let kinds = [10u8, 30, 41, 50, 51];
-                kind.copy_from_slice(&[kinds[(round / 2 % 5) as usize], 0]);
-            }
-            let device = ImageDevice::new(image);
-            device.dictionary();
-            device.process_data().bytes();
-        }
     }
 }

@@ -1,6 +1,6 @@
 //! Slaves of the segment, as a list for the command line.
 //!
-//! `ax2000,ax2000,cia402,ek1100,sii:FILE,ax2000*4`: kinds in the order of the chain, `*N` repeats one.
+//! `ax2000,ax2000,cia402,ek1100,el1008,el2004,sii:FILE,ax2000*4`: kinds in the order of the chain, `*N` repeats one.
 
 use crate::devices::Device;
 use crate::devices::ax2000;
@@ -8,6 +8,7 @@ use crate::devices::coupler::Coupler;
 use crate::devices::generic_drive;
 use crate::devices::image_device::ImageDevice;
 use crate::devices::servo_device::ServoDevice;
+use crate::devices::terminal;
 use crate::drive::servo::Servo;
 use std::fmt;
 use std::sync::Arc;
@@ -26,6 +27,16 @@ pub enum SlaveKind {
     Cia402,
     /// `ek1100`: bus coupler.
     Ek1100,
+    /// `el1004`: terminal with four digital inputs.
+    El1004,
+    /// `el1008`: terminal with eight digital inputs.
+    El1008,
+    /// `el2004`: terminal with four digital outputs.
+    El2004,
+    /// `el2008`: terminal with eight digital outputs.
+    El2008,
+    /// `blank`: a board whose information memory was never written; nothing answers its state requests.
+    Blank,
     /// `sii:FILE`: a slave with this information memory.
     Sii(Arc<[u8]>),
 }
@@ -61,10 +72,11 @@ impl fmt::Display for SlaveListError {
     fn fmt(&self, formatter: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Kind { word } => {
-                write!(
-                    formatter,
-                    "no such slave: '{word}' (ax2000, cia402, ek1100 or sii:FILE)"
-                )
+                write!(formatter, "no such slave: '{word}' (")?;
+                for (name, _) in SlaveKind::NAMES {
+                    write!(formatter, "{name}, ")?;
+                }
+                write!(formatter, "or sii:FILE)")
             }
             Self::Count { word } => write!(formatter, "not a number of slaves from 1 to {SLAVES_MAX}: '{word}'"),
             Self::TooMany { limit } => write!(formatter, "more than {limit} slaves"),
@@ -76,20 +88,36 @@ impl fmt::Display for SlaveListError {
 impl std::error::Error for SlaveListError {}
 
 impl SlaveKind {
+    /// Words of a list, but for images from files.
+    const NAMES: [(&'static str, Self); 8] = [
+        ("ax2000", Self::Ax2000),
+        ("cia402", Self::Cia402),
+        ("ek1100", Self::Ek1100),
+        ("el1004", Self::El1004),
+        ("el1008", Self::El1008),
+        ("el2004", Self::El2004),
+        ("el2008", Self::El2008),
+        ("blank", Self::Blank),
+    ];
+
     /// Parses one kind; `sii:FILE` reads the file.
     ///
     /// # Errors
     /// [`SlaveListError`] for an unknown word or a file that cannot be read.
     pub fn parse(word: &str) -> Result<Self, SlaveListError> {
-        match word {
-            "ax2000" => Ok(Self::Ax2000),
-            "cia402" => Ok(Self::Cia402),
-            "ek1100" => Ok(Self::Ek1100),
-            _ => match word.strip_prefix("sii:") {
-                Some(path) => read(path),
-                None => Err(SlaveListError::Kind { word: word.to_owned() }),
-            },
+        let known = Self::NAMES.into_iter().find(|(name, _)| *name == word);
+        match (known, word.strip_prefix("sii:")) {
+            (Some((_, kind)), _) => Ok(kind),
+            (None, Some(path)) => read(path),
+            (None, None) => Err(SlaveListError::Kind { word: word.to_owned() }),
         }
+    }
+
+    /// Its word in a list; `sii` for an image from a file.
+    #[must_use]
+    pub fn name(&self) -> &'static str {
+        let known = Self::NAMES.iter().find(|(_, kind)| kind == self);
+        known.map_or("sii", |(name, _)| name)
     }
 
     /// Whether the slave has a motor.
@@ -104,6 +132,11 @@ impl SlaveKind {
             (Self::Ax2000, Some(servo)) => Box::new(ServoDevice::new(&ax2000::MODEL, servo, serial)),
             (Self::Cia402, Some(servo)) => Box::new(ServoDevice::new(&generic_drive::MODEL, servo, serial)),
             (Self::Sii(image), _) => Box::new(ImageDevice::new(image.to_vec())),
+            (Self::El1004, _) => Box::new(terminal::EL1004.device()),
+            (Self::El1008, _) => Box::new(terminal::EL1008.device()),
+            (Self::El2004, _) => Box::new(terminal::EL2004.device()),
+            (Self::El2008, _) => Box::new(terminal::EL2008.device()),
+            (Self::Blank, _) => Box::new(ImageDevice::blank()),
             (_, servo) => Box::new(Coupler::new(servo)),
         }
     }
@@ -162,6 +195,9 @@ mod tests {
     fn a_list_names_kinds_and_repetitions() {
         let slaves = parse_slaves("ax2000, cia402,ek1100,ax2000*3").expect("a list");
         assert_eq!(slaves.len(), 6);
+        for (name, kind) in SlaveKind::NAMES {
+            assert_eq!((SlaveKind::parse(name), kind.name()), (Ok(kind), name));
+        }
         assert_eq!(slaves[1..3], [SlaveKind::Cia402, SlaveKind::Ek1100]);
         assert!(slaves[3..].iter().all(SlaveKind::is_drive));
     }

@@ -10,6 +10,7 @@ mod generic_drive;
 mod image_device;
 pub(crate) mod kind;
 mod servo_device;
+mod terminal;
 
 use crate::controller::silicon::Silicon;
 use crate::drive::servo::{Emergency, Servo};
@@ -19,6 +20,50 @@ use crate::mailbox::live_objects::LiveObjects;
 use crate::mailbox::process_data::ProcessData;
 use std::fmt;
 
+/// Sync manager of process data.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct ProcessManager {
+    /// Its number.
+    pub(crate) number: usize,
+    /// Start of its data according to the information image.
+    pub(crate) start: usize,
+    /// Length, bytes; `None` if the assigned PDOs determine it.
+    pub(crate) bytes: Option<usize>,
+}
+
+/// Sync managers of process data, in the order of their numbers.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct ProcessManagers {
+    /// Those the master writes.
+    pub(crate) outputs: Vec<ProcessManager>,
+    /// Those the master reads.
+    pub(crate) inputs: Vec<ProcessManager>,
+}
+
+impl ProcessManagers {
+    /// Sync managers 2 and 3, behind those of a mailbox, with lengths that follow the assigned PDOs.
+    pub(crate) fn standard(windows: &Windows) -> Self {
+        let manager = |number, start: u16| ProcessManager {
+            number,
+            start: start.into(),
+            bytes: None,
+        };
+        Self {
+            outputs: vec![manager(2, windows.outputs)],
+            inputs: vec![manager(3, windows.inputs)],
+        }
+    }
+}
+
+/// Process data of a device that gives them no meaning: the bytes of its sync managers, one behind the other.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Io {
+    /// What the master reads.
+    pub(crate) inputs: Vec<u8>,
+    /// What the master wrote last while the outputs were valid.
+    pub(crate) outputs: Vec<u8>,
+}
+
 /// A device behind a slave controller.
 pub(crate) trait Device: LiveObjects + fmt::Debug + Send {
     /// The slave information image.
@@ -27,10 +72,18 @@ pub(crate) trait Device: LiveObjects + fmt::Debug + Send {
     fn silicon(&self) -> Silicon {
         Silicon::ET1100
     }
+    /// Whether a processor reads the state requests. Without one the controller emulates the device, or nobody answers.
+    fn has_processor(&self) -> bool {
+        true
+    }
     /// Windows of mailboxes and process data.
     fn windows(&self) -> Windows;
     /// PDOs and their assignment after power-up.
     fn process_data(&self) -> ProcessData;
+    /// Sync managers of the process data.
+    fn process_managers(&self) -> ProcessManagers {
+        ProcessManagers::standard(&self.windows())
+    }
     /// Objects after power-up.
     fn dictionary(&self) -> Dictionary;
     /// Resets everything but the motor to its state after power-up.
@@ -45,6 +98,14 @@ pub(crate) trait Device: LiveObjects + fmt::Debug + Send {
     fn cyclic_data_lost(&mut self) {}
     /// The next emergency.
     fn take_emergency(&mut self) -> Option<Emergency> {
+        None
+    }
+    /// Process data without a meaning of their own, if the device has such.
+    fn io(&self) -> Option<&Io> {
+        None
+    }
+    /// Process data without a meaning of their own, mutable.
+    fn io_mut(&mut self) -> Option<&mut Io> {
         None
     }
     /// The drive inside, if there is one.

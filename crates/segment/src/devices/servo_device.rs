@@ -124,15 +124,15 @@ impl LiveObjects for ServoDevice {
 
 impl Device for ServoDevice {
     fn image(&self) -> Vec<u8> {
-        sii::image(&Description {
+        let description = Description {
             identity: self.identity(),
             name: self.model.name,
             order: self.model.order,
-            windows: self.model.windows,
             details: self.model.details,
-            process_data: &self.process_data(),
             ports: self.silicon().ports,
-        })
+            ..Description::default()
+        };
+        sii::image(&description.with_mailbox(self.model.windows, &self.process_data()))
     }
 
     fn windows(&self) -> Windows {

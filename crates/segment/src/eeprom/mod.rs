@@ -4,6 +4,7 @@
 //! returns eight bytes. While the slave's processor owns the memory, or the memory is offered to it, commands are
 //! refused. Register layout: EEPROM interface of the slave controller's register description.
 
+pub(crate) mod content;
 pub(crate) mod sii;
 pub(crate) mod windows;
 

@@ -7,13 +7,14 @@ use crate::eeprom::windows::{SyncManagerDefault, Windows};
 use crate::mailbox::process_data::{Pdo, ProcessData};
 use etherpen_ethercat::wire::sii::{
     CATEGORY_END, CATEGORY_FMMU, CATEGORY_GENERAL, CATEGORY_RX_PDO, CATEGORY_STRINGS, CATEGORY_SYNC_MANAGER,
-    CATEGORY_TX_PDO, Identity, PROTOCOL_COE, WORD_CATEGORIES, WORD_CHECKSUM, WORD_MAILBOX_IN, WORD_MAILBOX_OUT,
-    WORD_PROTOCOLS, WORD_SIZE, WORD_VENDOR, WORD_VERSION, checksum,
+    CATEGORY_SYNC_UNIT, CATEGORY_TX_PDO, Identity, PROTOCOL_COE, WORD_CATEGORIES, WORD_CHECKSUM, WORD_MAILBOX_IN,
+    WORD_MAILBOX_OUT, WORD_PROTOCOLS, WORD_SIZE, WORD_VENDOR, WORD_VERSION, checksum,
 };
 
 /// Size of the memory chip, bytes.
 const IMAGE_BYTES: usize = 2048;
 /// Data types of CiA 301.
+const TYPE_BOOLEAN: u8 = 0x01;
 const TYPE_INTEGER8: u8 = 0x02;
 const TYPE_INTEGER32: u8 = 0x04;
 const TYPE_UNSIGNED16: u8 = 0x06;
@@ -22,19 +23,67 @@ pub(crate) const DETAILS_FIXED_PDO: u8 = 0x27;
 /// CoE details of the general category: SDO access, SDO information, PDO assignment and mapping, complete access.
 pub(crate) const DETAILS_MAPPABLE_PDO: u8 = 0x2F;
 /// Sync manager of a PDO that is not assigned.
-const NOT_ASSIGNED: u8 = 0xFF;
+pub(crate) const NOT_ASSIGNED: u8 = 0xFF;
+/// Word 0 of a slave with a processor: parallel interface, clock units powered.
+const CONFIGURATION_PROCESSOR: u16 = 0x0C08;
+/// Flags of a PDO: mandatory, and fixed content.
+const PDO_MANDATORY: u16 = 0x0001;
+const PDO_FIXED: u16 = 0x0010;
+
+/// A PDO in the image.
+#[derive(Clone, Debug)]
+pub(crate) struct PdoDescription {
+    pub(crate) pdo: Pdo,
+    /// Its sync manager; [`NOT_ASSIGNED`] without one.
+    pub(crate) manager: u8,
+    /// Whether it cannot be removed from its sync manager.
+    pub(crate) mandatory: bool,
+}
 
 /// Content of the image.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Description<'a> {
     pub(crate) identity: Identity,
     pub(crate) name: &'a str,
     pub(crate) order: &'a str,
+    /// Word 0: type of the process interface, and in the high byte the controller's configuration (bit 8: device
+    /// emulation).
+    pub(crate) configuration: u16,
     pub(crate) windows: Windows,
     pub(crate) details: u8,
-    pub(crate) process_data: &'a ProcessData,
+    /// Current drawn from the E-bus, mA; negative for a supply.
+    pub(crate) current_ma: i16,
+    /// Use of each FMMU.
+    pub(crate) fmmus: &'a [u8],
+    pub(crate) sync_managers: Vec<SyncManagerDefault>,
+    /// Whether the image has the category of sync units.
+    pub(crate) has_sync_units: bool,
+    pub(crate) pdos: Vec<PdoDescription>,
     /// Type of each port, as in the controller's port descriptor.
     pub(crate) ports: u8,
+}
+
+impl Description<'_> {
+    /// Describes process data behind a mailbox: outputs in sync manager 2, inputs in sync manager 3.
+    pub(crate) fn with_mailbox(self, windows: Windows, process_data: &ProcessData) -> Self {
+        let described = |pdo: &Pdo| PdoDescription {
+            manager: match (process_data.is_assigned(pdo.index), pdo.is_output()) {
+                (false, _) => NOT_ASSIGNED,
+                (true, true) => 2,
+                (true, false) => 3,
+            },
+            pdo: pdo.clone(),
+            mandatory: false,
+        };
+        Self {
+            configuration: CONFIGURATION_PROCESSOR,
+            windows,
+            fmmus: &[1, 2, 3, 0],
+            sync_managers: windows.sync_managers(process_data.bytes()),
+            pdos: process_data.pdos().iter().map(described).collect(),
+            ..self
+        }
+    }
 }
 
 /// The complete image.
@@ -42,7 +91,7 @@ pub(crate) fn image(description: &Description) -> Vec<u8> {
     let mut image = vec![0; 2 * usize::from(WORD_CATEGORIES)];
     let identity = description.identity;
     let windows = description.windows;
-    put(&mut image, 0, &[0x08, 0x0C]);
+    put(&mut image, 0, &description.configuration.to_le_bytes());
     let sum = checksum(&image);
     put(&mut image, 2 * WORD_CHECKSUM, &[sum]);
     let numbers = [identity.vendor, identity.product, identity.revision, identity.serial];
@@ -71,21 +120,20 @@ fn categories(image: &mut Vec<u8>, description: &Description) {
     let texts = strings(&[description.name, description.order]);
     category(image, CATEGORY_STRINGS, &texts);
     category(image, CATEGORY_GENERAL, &general(description));
-    if !description.windows.has_mailbox() {
+    if description.sync_managers.is_empty() {
         return;
     }
-    category(image, CATEGORY_FMMU, &[1, 2, 3, 0]);
-    let managers = description.windows.sync_managers(description.process_data.bytes());
-    category(image, CATEGORY_SYNC_MANAGER, &sync_managers(&managers));
-    for (kind, outputs, manager) in [(CATEGORY_RX_PDO, true, 2), (CATEGORY_TX_PDO, false, 3)] {
-        let mut body = Vec::new();
-        for pdo in description.process_data.pdos() {
-            if pdo.is_output() == outputs {
-                let assigned = description.process_data.is_assigned(pdo.index);
-                body.extend(pdo_body(pdo, if assigned { manager } else { NOT_ASSIGNED }));
-            }
+    category(image, CATEGORY_FMMU, description.fmmus);
+    category(image, CATEGORY_SYNC_MANAGER, &sync_managers(&description.sync_managers));
+    if description.has_sync_units {
+        category(image, CATEGORY_SYNC_UNIT, &[0xF0, 0xFF]);
+    }
+    for (kind, outputs) in [(CATEGORY_RX_PDO, true), (CATEGORY_TX_PDO, false)] {
+        let pdos = description.pdos.iter().filter(|entry| entry.pdo.is_output() == outputs);
+        let body: Vec<u8> = pdos.flat_map(pdo_body).collect();
+        if !body.is_empty() {
+            category(image, kind, &body);
         }
-        category(image, kind, &body);
     }
 }
 
@@ -131,6 +179,7 @@ fn general(description: &Description) -> [u8; 32] {
         };
         ports |= kind << (4 * port);
     }
+    put(&mut body, 12, &description.current_ma.to_le_bytes());
     put(&mut body, 16, &ports.to_le_bytes());
     body
 }
@@ -145,13 +194,16 @@ fn sync_managers(list: &[SyncManagerDefault]) -> Vec<u8> {
     body
 }
 
-fn pdo_body(pdo: &Pdo, sync_manager: u8) -> Vec<u8> {
+fn pdo_body(description: &PdoDescription) -> Vec<u8> {
+    let pdo = &description.pdo;
     let mut body = Vec::from(pdo.index.to_le_bytes());
-    let flags = u16::from(pdo.fixed) << 4;
-    body.extend_from_slice(&[pdo.mapped().len() as u8, sync_manager, 0, 0]);
+    let fixed = if pdo.fixed { PDO_FIXED } else { 0 };
+    let flags = fixed | if description.mandatory { PDO_MANDATORY } else { 0 };
+    body.extend_from_slice(&[pdo.mapped().len() as u8, description.manager, 0, 0]);
     body.extend_from_slice(&flags.to_le_bytes());
     for entry in pdo.mapped() {
         let data_type = match entry.bits {
+            1 => TYPE_BOOLEAN,
             8 => TYPE_INTEGER8,
             32 => TYPE_INTEGER32,
             _ => TYPE_UNSIGNED16,
@@ -175,7 +227,13 @@ mod tests {
             Pdo::new(0x1702, "out", true, &entries),
             Pdo::new(0x1B01, "in", true, &entries),
         ];
-        image(&Description {
+        let windows = Windows {
+            mailbox_out: window(0x1800),
+            mailbox_in: window(0x1C00),
+            outputs: 0x1100,
+            inputs: 0x1140,
+        };
+        let description = Description {
             identity: Identity {
                 vendor: 2,
                 product: 3,
@@ -184,16 +242,11 @@ mod tests {
             },
             name: "a drive",
             order: "X1",
-            windows: Windows {
-                mailbox_out: window(0x1800),
-                mailbox_in: window(0x1C00),
-                outputs: 0x1100,
-                inputs: 0x1140,
-            },
             details: DETAILS_FIXED_PDO,
-            process_data: &ProcessData::new(pdos, &[0x1702], &[0x1B01], 1),
             ports: 0x0F,
-        })
+            ..Description::default()
+        };
+        image(&description.with_mailbox(windows, &ProcessData::new(pdos, &[0x1702], &[0x1B01], 1)))
     }
 
     #[test]

@@ -65,6 +65,8 @@ pub enum Fault {
     Silence(usize, u64),
     /// A fault of one mailbox request of a slave.
     Mailbox(usize, MailStep, MailFault),
+    /// A slave sends an unasked message of another protocol, an Ethernet fragment, through its mailbox.
+    Ethernet(usize),
     /// A drive faults with an error code.
     Drive(usize, u16),
     /// A drive has no mains voltage for some milliseconds.
@@ -157,6 +159,7 @@ impl Fault {
             | Self::Sii(slave, _)
             | Self::Silence(slave, _)
             | Self::Mailbox(slave, ..)
+            | Self::Ethernet(slave)
             | Self::Drive(slave, _)
             | Self::Mains(slave, _)
             | Self::Resolver(slave, ..)
@@ -207,6 +210,7 @@ impl Fault {
             Self::Sii(..) => "sii",
             Self::Silence(..) => "silence",
             Self::Mailbox(..) => "mailbox",
+            Self::Ethernet(..) => "eoe",
             Self::Drive(..) => "fault",
             Self::Mains(..) => "mains",
             Self::Resolver(_, ResolverFault::Stuck, _) => "stuck",

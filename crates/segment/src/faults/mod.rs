@@ -60,6 +60,8 @@ Faults of a slave:
   mailbox K STEP WHAT at a mailbox request (its number from now on, or INDEX:SUB of an SDO): abort CODE,
                       silent, lost (only a repeat brings the answer), counter (the answer has the last
                       one's), flood N (N emergencies come before the answer)
+  eoe K               slave K sends an Ethernet fragment through its mailbox, unasked
+  (a slave with device emulation has no processor: only power and sii mean anything to it)
 
 Faults of a drive:
   fault K CODE        drive K faults with this error code
@@ -358,6 +360,7 @@ fn fault(name: &str, words: &mut Words) -> Result<Fault, ScriptError> {
         "sii" => Fault::Sii(words.slave()?, words.choice(&SII_FAULTS)?),
         "silence" => Fault::Silence(words.slave()?, words.number()?),
         "mailbox" => Fault::Mailbox(words.slave()?, words.mail_step()?, words.mail_fault()?),
+        "eoe" => Fault::Ethernet(words.slave()?),
         "fault" => Fault::Drive(words.slave()?, words.number()?),
         "mains" => Fault::Mains(words.slave()?, words.number()?),
         "stuck" => Fault::Resolver(words.slave()?, ResolverFault::Stuck, words.number()?),
@@ -568,6 +571,7 @@ mod tests {
             "ms 1 mailbox 1 1 lost",
             "ms 1 mailbox 1 1 counter",
             "ms 1 mailbox 1 1 flood 5",
+            "ms 1 eoe 1",
             "ms 1 stuck 1 20",
             "ms 1 slip 1 90 20",
             "ms 1 jump 1 -2000",

@@ -17,6 +17,7 @@ const SDO_HEADER: usize = 8;
 const SEGMENT_HEADER: usize = 1;
 const SEGMENT_DATA_MIN: usize = 7;
 const TYPE_ERROR: u8 = 0;
+const TYPE_ETHERNET: u8 = 2;
 const TYPE_COE: u8 = 3;
 const SERVICE_EMERGENCY: u8 = 1;
 const SERVICE_SDO_REQUEST: u8 = 2;
@@ -32,6 +33,12 @@ const COMPLETE_ACCESS: u8 = 0x10;
 const DOWNLOAD_BYTES_MAX: usize = 64 * 1024;
 /// Most messages queued for the master; the oldest emergency is dropped first.
 const QUEUE_MAX: usize = 64;
+
+/// A gratuitous ARP request of the station 02:00:00:00:00:01 with the address 192.168.1.1.
+const ADDRESS_ANNOUNCEMENT: [u8; 42] = [
+    0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0xFF, 0x02, 0x00, 0x00, 0x00, 0x00, 0x01, 0x08, 0x06, 0x00, 0x01, 0x08, 0x00, 0x06,
+    0x04, 0x00, 0x01, 0x02, 0x00, 0x00, 0x00, 0x00, 0x01, 192, 168, 1, 1, 0, 0, 0, 0, 0, 0, 192, 168, 1, 1,
+];
 
 /// Operations on an object dictionary.
 pub(crate) trait ObjectServer {
@@ -130,6 +137,13 @@ impl MailboxServer {
         body.push(register);
         body.extend_from_slice(&detail);
         self.coe(SERVICE_EMERGENCY, &body);
+    }
+
+    /// Queues an Ethernet frame in one fragment that nobody has asked for: the announcement of an address (ARP).
+    pub(crate) fn ethernet(&mut self) {
+        let mut body = vec![0x00, 0x01, 0x00, 0x00];
+        body.extend_from_slice(&ADDRESS_ANNOUNCEMENT);
+        self.send(TYPE_ETHERNET, &body);
     }
 
     /// The next message for the master.

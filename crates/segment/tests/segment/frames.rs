@@ -24,6 +24,28 @@ fn a_broadcast_read_counts_the_slaves_and_marks_the_source_address() {
 }
 
 #[test]
+fn a_changed_link_is_reported_in_the_interrupt_field_until_it_is_read() {
+    let mut rig = rig();
+    rig.addresses();
+    let ask = frame_of(&[(BRD, 0, 0x0130, &[0, 0])]);
+    let event = |rig: &mut crate::TestRig| rig.send(&ask)[0][DATA - 2..DATA].to_vec();
+    assert_eq!(event(&mut rig), [0, 0], "masked");
+    rig.ask(BWR, 0, 0x0200, &[4, 0]);
+    assert_eq!(event(&mut rig), [4, 0], "since power-up");
+    for station in 0x1001..=0x1004 {
+        assert_eq!(event(&mut rig), [4, 0]);
+        rig.read(station, if station % 2 == 0 { 0x0110 } else { 0x0111 }, 1);
+    }
+    assert_eq!(event(&mut rig), [0, 0]);
+    rig.bus.inject(Fault::Cut(2));
+    rig.send(&ask);
+    rig.send(&ask);
+    assert_eq!(event(&mut rig), [4, 0]);
+    rig.read(0x1002, 0x0110, 2);
+    assert_eq!(event(&mut rig), [0, 0]);
+}
+
+#[test]
 fn a_broken_or_foreign_frame_is_ignored() {
     let good = frame_of(&[(BRD, 0, 0x0130, &[0, 0]), (LRW, 0, 0, &[0; 30])]);
     let mut rig = rig();

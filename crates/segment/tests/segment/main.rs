@@ -1,9 +1,11 @@
 //! The segment as a whole, driven by hand-made frames and by recorded ones; no master takes part.
 
+mod checks;
 mod devices;
 mod faults;
 mod frames;
 mod replay;
+mod terminals;
 
 use etherpen_segment::rig::Rig;
 use etherpen_segment::{DriveOptions, Flywheel, MotorState, Segment, SegmentOptions, SlaveKind};

@@ -1,30 +1,32 @@
-//! One slave of the segment: controller, application, mailbox and drive, stepped together every millisecond.
+//! One slave of the segment: controller, application, mailbox and device, stepped together every millisecond.
+//!
+//! A slave with device emulation has no processor: its controller answers state requests at once, and nothing is
+//! checked. Faults of a processor mean nothing to it.
 
-use crate::application::{AlState, Application, Readiness, code};
+mod mail;
+pub(crate) mod options;
+mod process_image;
+
+use crate::application::{AlState, Application, code};
 use crate::controller::clock::SyncState;
 use crate::controller::datagram::Datagram;
 use crate::controller::silicon::ClockWidth;
 use crate::controller::{Controller, Nature};
-use crate::devices::Device;
 use crate::devices::kind::SlaveKind;
+use crate::devices::{Device, ProcessManagers};
 use crate::drive::servo::Servo;
 use crate::drive::{Drive, DriveOptions};
 use crate::eeprom::SiiFault;
 use crate::faults::kinds::{MailFault, MailStep, Product};
-use crate::mailbox::coe::{MailboxServer, object_of};
+use crate::mailbox::coe::MailboxServer;
 use crate::mailbox::dictionary::Dictionary;
-use crate::mailbox::objects::Objects;
 use crate::mailbox::process_data::ProcessData;
-use etherpen_ethercat::wire::sii::MailboxWindow;
+use options::SlaveOptions;
 
 const MAILBOX_OUT_MANAGER: usize = 0;
 const MAILBOX_IN_MANAGER: usize = 1;
 /// How long the drive's power stage keeps running without its processor, ms; then it stops the motor.
 const POWER_STAGE_WATCHDOG_MS: u64 = 10;
-/// Error code of the emergencies of a flood.
-const FLOOD_CODE: u16 = 0xFF00;
-const OUTPUT_MANAGER: usize = 2;
-const INPUT_MANAGER: usize = 3;
 
 /// A slave with its device.
 #[derive(Clone, Debug)]
@@ -35,9 +37,15 @@ pub(crate) struct Slave {
     dictionary: Dictionary,
     process_data: ProcessData,
     device: Box<dyn Device>,
+    managers: ProcessManagers,
+    options: SlaveOptions,
+    /// A request that the application works on, and the remaining time, ms.
+    transition: Option<(u16, u64)>,
     /// Remaining time without power, ms; the motor brakes meanwhile.
     unpowered_ms: u64,
     silent_ms: u64,
+    /// Remaining time to the next answer of the mailbox, ms.
+    answer_ms: u64,
     unfed_ms: u64,
     width: ClockWidth,
     nature: Nature,
@@ -53,7 +61,7 @@ impl Slave {
     /// A slave after power-up.
     pub(crate) fn new(device: Box<dyn Device>, width: ClockWidth, nature: Nature) -> Self {
         let mut silicon = device.silicon();
-        if silicon.clock != ClockWidth::None {
+        if silicon.clock.has_system_time() {
             silicon.clock = width;
         }
         let mut slave = Self {
@@ -62,9 +70,13 @@ impl Slave {
             mailbox: MailboxServer::default(),
             dictionary: device.dictionary(),
             process_data: device.process_data(),
+            managers: device.process_managers(),
             device,
+            options: SlaveOptions::default(),
+            transition: None,
             unpowered_ms: 0,
             silent_ms: 0,
+            answer_ms: 0,
             unfed_ms: 0,
             width,
             nature,
@@ -75,7 +87,8 @@ impl Slave {
             outputs_received: false,
             has_outputs: false,
         };
-        slave.show_state();
+        slave.controller.set_al_status(AlState::Init as u16, 0);
+        slave.activate_sync_managers();
         slave
     }
 
@@ -86,7 +99,22 @@ impl Slave {
 
     /// State of the application layer.
     pub(crate) fn state(&self) -> AlState {
-        self.application.state()
+        if self.is_alone() {
+            AlState::from_number(self.controller.al_status()).unwrap_or(AlState::Init)
+        } else {
+            self.application.state()
+        }
+    }
+
+    /// Sets what the processor is like, which starts anew.
+    pub(crate) fn set_options(&mut self, options: SlaveOptions) {
+        self.options = options;
+        self.hang(options.boot_ms);
+    }
+
+    /// Whether no processor runs the application.
+    fn is_alone(&self) -> bool {
+        self.controller.is_emulated() || !self.device.has_processor()
     }
 
     /// Code of the last refusal or fallback; 0 without one.
@@ -116,17 +144,14 @@ impl Slave {
         if servo.is_none() && kind.is_drive() {
             servo = Some(Servo::new(&DriveOptions::default(), 0));
         }
+        let options = self.options;
         *self = Self::new(kind.device(servo, serial), self.width, self.nature);
+        self.set_options(options);
     }
 
     /// Refuses the next request for a state.
     pub(crate) fn refuse(&mut self, state: AlState, code: u16) {
         self.refusals.push((state, code));
-    }
-
-    /// Schedules a fault of a mailbox request.
-    pub(crate) fn spoil_mailbox(&mut self, step: MailStep, fault: MailFault) {
-        self.mail_faults.push((step, fault));
     }
 
     /// Handles the arrival of a frame that will come back from the chain behind at `back_ns`; earlier SYNC0 pulses take
@@ -148,11 +173,15 @@ impl Slave {
 
     /// Stops the slave's processor for some milliseconds; the slave controller continues.
     pub(crate) fn hang(&mut self, milliseconds: u64) {
+        if self.is_alone() {
+            return;
+        }
         (self.hung_ms, self.hung_for_ms) = (milliseconds, 0);
     }
 
     /// Processes a datagram.
     pub(crate) fn pass(&mut self, datagram: &mut Datagram) {
+        self.feed();
         self.controller.pass(datagram);
     }
 
@@ -168,23 +197,25 @@ impl Slave {
         self.mailbox = MailboxServer::default();
         self.outputs_received = false;
         self.has_outputs = false;
-        self.hung_ms = 0;
+        self.transition = None;
+        self.answer_ms = 0;
         self.controller.power_up();
+        self.hung_ms = 0;
+        self.hang(self.options.boot_ms);
         self.device.power_up();
         self.dictionary = self.device.dictionary();
         self.process_data = self.device.process_data();
-        self.show_state();
+        self.controller.set_al_status(AlState::Init as u16, 0);
+        self.activate_sync_managers();
     }
 
     /// Falls back to a state with an AL status code, if the present state is higher.
     pub(crate) fn fall(&mut self, state: AlState, code: u16) {
+        if self.is_alone() {
+            return;
+        }
         self.application.retreat(state, code);
         self.show_state();
-    }
-
-    /// Leaves mailbox messages unanswered for some milliseconds.
-    pub(crate) fn silence(&mut self, milliseconds: u64) {
-        self.silent_ms = milliseconds;
     }
 
     /// Advances by one millisecond, to a true time.
@@ -195,6 +226,11 @@ impl Slave {
             return;
         }
         self.controller.advance(now_ns);
+        if self.is_alone() {
+            self.watch_alone();
+            self.device.step(false);
+            return;
+        }
         self.obey_pulses();
         if self.is_hung() {
             match self.hung_for_ms <= POWER_STAGE_WATCHDOG_MS {
@@ -219,6 +255,9 @@ impl Slave {
             return;
         }
         self.device.sample();
+        if self.is_alone() {
+            return;
+        }
         if self.controller.sync_state() != SyncState::Running {
             self.put_inputs();
         }
@@ -231,7 +270,8 @@ impl Slave {
 
     /// At a SYNC0 pulse the device takes its outputs and shows its inputs.
     fn obey_pulses(&mut self) {
-        if self.controller.take_pulses() > 0 && self.is_powered() && self.hung_ms == 0 {
+        let runs = self.is_powered() && self.hung_ms == 0 && !self.is_alone();
+        if self.controller.take_pulses() > 0 && runs {
             self.has_outputs = self.take_outputs();
             self.put_inputs();
         }
@@ -250,137 +290,10 @@ impl Slave {
         self.hung_ms > 0
     }
 
-    fn put_inputs(&mut self) {
-        if self.application.state() >= AlState::SafeOperational {
-            let inputs = self.process_data.pack(self.device.as_ref());
-            self.controller
-                .with_sync_manager(INPUT_MANAGER, |manager| manager.put(&inputs));
-        }
-    }
-
-    /// Passes the outputs to the device; returns false without valid outputs.
-    fn take_outputs(&mut self) -> bool {
-        if self.application.state() != AlState::Operational {
-            return false;
-        }
-        let manager = self.controller.sync_manager(OUTPUT_MANAGER);
-        let Some(outputs) = manager.and_then(|manager| manager.outputs()) else {
-            return false;
-        };
-        self.process_data.unpack(outputs, self.device.as_mut());
-        true
-    }
-
-    fn serve_mailbox(&mut self) {
-        if self.silent_ms > 0 {
-            self.silent_ms -= 1;
-            return;
-        }
-        if self.application.state() < AlState::PreOperational {
-            return;
-        }
-        let message = self
-            .controller
-            .with_sync_manager(MAILBOX_OUT_MANAGER, |manager| manager.take_message());
-        if let Some(message) = message {
-            self.receive(&message);
-        }
-        let mailbox = &mut self.mailbox;
-        self.controller.with_sync_manager(MAILBOX_IN_MANAGER, |manager| {
-            if manager.repeat_is_due() {
-                if let Some(message) = mailbox.last_sent() {
-                    manager.put(message);
-                }
-                manager.acknowledge_repeat();
-            } else if manager.accepts_message()
-                && let Some(message) = mailbox.next()
-            {
-                manager.put(&message);
-            }
-        });
-    }
-
-    /// Answers a mailbox message, with the scripted faults.
-    fn receive(&mut self, message: &[u8]) {
-        match self.mail_fault(message) {
-            Some(MailFault::Silent) => return,
-            Some(MailFault::Abort(code)) => return self.mailbox.abort(message, code),
-            Some(MailFault::Lost) => self.mailbox.lose_next(),
-            Some(MailFault::Counter) => self.mailbox.repeat_counter(),
-            Some(MailFault::Flood(count)) => {
-                for _ in 0..count {
-                    self.mailbox.emergency(FLOOD_CODE, 0, [0; 5]);
-                }
-            }
-            None => {}
-        }
-        let manager = self.controller.sync_manager(MAILBOX_IN_MANAGER);
-        let capacity = manager.map_or(0, |manager| manager.length());
-        let mut objects = Objects {
-            dictionary: &mut self.dictionary,
-            process_data: &mut self.process_data,
-            device: self.device.as_mut(),
-            state: self.application.state(),
-        };
-        self.mailbox.receive(message, capacity, &mut objects);
-    }
-
-    /// The fault scheduled for this request, returned once; counts down the steps of the others.
-    fn mail_fault(&mut self, message: &[u8]) -> Option<MailFault> {
-        let object = object_of(message);
-        let mut hit = None;
-        self.mail_faults.retain_mut(|(step, fault)| {
-            let due = match step {
-                MailStep::Request(left) => {
-                    *left = left.saturating_sub(1);
-                    *left == 0
-                }
-                MailStep::Object(index, sub) => object == Some((*index, *sub)),
-            };
-            if due && hit.is_none() {
-                hit = Some(*fault);
-                return false;
-            }
-            true
-        });
-        hit
-    }
-
-    /// Runs the process-data watchdog in milliseconds of the segment.
-    fn watch(&mut self) {
-        let fed = self
-            .controller
-            .with_sync_manager(OUTPUT_MANAGER, |manager| manager.look_for_write());
-        let watched = self
-            .controller
-            .sync_manager(OUTPUT_MANAGER)
-            .is_some_and(|manager| manager.triggers_watchdog());
-        if fed {
-            self.outputs_received = self.application.state() >= AlState::SafeOperational;
-            self.unfed_ms = 0;
-            self.controller.set_watchdog(false);
-            return;
-        }
-        self.unfed_ms = self.unfed_ms.saturating_add(1);
-        let expired = watched
-            && self.application.state() == AlState::Operational
-            && self
-                .controller
-                .watchdog_us()
-                .is_some_and(|limit_us| self.unfed_ms * 1000 >= limit_us);
-        if expired {
-            self.controller.set_watchdog(true);
-            self.application.retreat(AlState::SafeOperational, code::WATCHDOG);
-            self.device.cyclic_data_lost();
-            self.outputs_received = false;
-            self.show_state();
-        }
-    }
-
     fn change_state(&mut self) {
         let ready = self.readiness();
         let before = self.application.state();
-        if let Some(request) = self.controller.take_al_request() {
+        if let Some(request) = self.next_request() {
             let denied = self
                 .refusals
                 .iter()
@@ -390,6 +303,7 @@ impl Slave {
                 None => self.application.request(request, ready),
             }
         }
+        self.application.check(ready);
         self.application.step(ready);
         if !ready.synchronous && self.application.state() == AlState::Operational {
             self.application.retreat(AlState::SafeOperational, code::SYNC_LOST);
@@ -402,52 +316,27 @@ impl Slave {
             }
             if after == AlState::Init {
                 self.mailbox = MailboxServer::default();
-                for manager in [MAILBOX_OUT_MANAGER, MAILBOX_IN_MANAGER] {
-                    self.controller.with_sync_manager(manager, |manager| manager.clear());
-                }
             }
         }
         self.show_state();
     }
 
+    /// The state request that is due now: read from the register, and worked on for the time of a transition.
+    fn next_request(&mut self) -> Option<u16> {
+        let (request, left_ms) = match self.transition.take() {
+            Some((request, left_ms)) => (request, left_ms.saturating_sub(1)),
+            None => (self.controller.take_al_request()?, self.options.transition_ms),
+        };
+        if left_ms > 0 {
+            self.transition = Some((request, left_ms));
+            return None;
+        }
+        Some(request)
+    }
+
     fn show_state(&mut self) {
         self.controller
             .set_al_status(self.application.status(), self.application.code());
-    }
-
-    fn readiness(&self) -> Readiness {
-        let (output_bytes, input_bytes) = self.process_data.bytes();
-        let windows = self.device.windows();
-        let manager = |index| self.controller.sync_manager(index);
-        let is_mailbox = |index, window: MailboxWindow, bus_written| {
-            manager(index).is_some_and(|manager| {
-                manager.is_active()
-                    && manager.is_mailbox()
-                    && manager.is_bus_written() == bus_written
-                    && manager.start() == usize::from(window.start)
-                    && manager.length() == usize::from(window.length)
-            })
-        };
-        let is_process_data = |index, bytes: usize, bus_written| {
-            manager(index).is_some_and(|manager| {
-                let fits = manager.length() == bytes;
-                let kind = !manager.is_mailbox() && manager.is_bus_written() == bus_written;
-                match manager.is_active() {
-                    true => kind && fits,
-                    false => bytes == 0,
-                }
-            })
-        };
-        let sync = self.controller.sync_state();
-        Readiness {
-            sync_valid: sync != SyncState::Invalid,
-            synchronous: matches!(sync, SyncState::Off | SyncState::Running),
-            mailbox: !windows.has_mailbox()
-                || is_mailbox(MAILBOX_OUT_MANAGER, windows.mailbox_out, true)
-                    && is_mailbox(MAILBOX_IN_MANAGER, windows.mailbox_in, false),
-            outputs: is_process_data(OUTPUT_MANAGER, output_bytes, true),
-            inputs: is_process_data(INPUT_MANAGER, input_bytes, false),
-            outputs_received: self.outputs_received || output_bytes == 0,
-        }
+        self.activate_sync_managers();
     }
 }

@@ -1,0 +1,109 @@
+//! The mailbox of a slave: takes requests, queues answers, and the faults of single requests.
+
+use super::{MAILBOX_IN_MANAGER, MAILBOX_OUT_MANAGER, Slave};
+use crate::application::AlState;
+use crate::faults::kinds::{MailFault, MailStep};
+use crate::mailbox::coe::object_of;
+use crate::mailbox::objects::Objects;
+
+/// Error code of the emergencies of a flood.
+const FLOOD_CODE: u16 = 0xFF00;
+
+impl Slave {
+    /// Schedules a fault of a mailbox request.
+    pub(crate) fn spoil_mailbox(&mut self, step: MailStep, fault: MailFault) {
+        self.mail_faults.push((step, fault));
+    }
+
+    /// Leaves mailbox messages unanswered for some milliseconds.
+    pub(crate) fn silence(&mut self, milliseconds: u64) {
+        self.silent_ms = milliseconds;
+    }
+
+    /// Sends a message of another protocol that nobody has asked for: a fragment of an Ethernet frame.
+    pub(crate) fn send_ethernet(&mut self) {
+        if self.application.state() >= AlState::PreOperational {
+            self.mailbox.ethernet();
+        }
+    }
+
+    pub(super) fn serve_mailbox(&mut self) {
+        if self.silent_ms > 0 {
+            self.silent_ms -= 1;
+            return;
+        }
+        if self.application.state() < AlState::PreOperational {
+            return;
+        }
+        let message = self
+            .controller
+            .with_sync_manager(MAILBOX_OUT_MANAGER, |manager| manager.take_message());
+        if let Some(message) = message {
+            self.receive(&message);
+            self.answer_ms = self.options.mailbox_ms;
+        }
+        if self.answer_ms > 0 {
+            self.answer_ms -= 1;
+            return;
+        }
+        let mailbox = &mut self.mailbox;
+        self.controller.with_sync_manager(MAILBOX_IN_MANAGER, |manager| {
+            if manager.repeat_is_due() {
+                if let Some(message) = mailbox.last_sent() {
+                    manager.put(message);
+                }
+                manager.acknowledge_repeat();
+            } else if manager.accepts_message()
+                && let Some(message) = mailbox.next()
+            {
+                manager.put(&message);
+            }
+        });
+    }
+
+    /// Answers a mailbox message, with the scripted faults.
+    fn receive(&mut self, message: &[u8]) {
+        match self.mail_fault(message) {
+            Some(MailFault::Silent) => return,
+            Some(MailFault::Abort(code)) => return self.mailbox.abort(message, code),
+            Some(MailFault::Lost) => self.mailbox.lose_next(),
+            Some(MailFault::Counter) => self.mailbox.repeat_counter(),
+            Some(MailFault::Flood(count)) => {
+                for _ in 0..count {
+                    self.mailbox.emergency(FLOOD_CODE, 0, [0; 5]);
+                }
+            }
+            None => {}
+        }
+        let manager = self.controller.sync_manager(MAILBOX_IN_MANAGER);
+        let capacity = manager.map_or(0, |manager| manager.length());
+        let mut objects = Objects {
+            dictionary: &mut self.dictionary,
+            process_data: &mut self.process_data,
+            device: self.device.as_mut(),
+            state: self.application.state(),
+        };
+        self.mailbox.receive(message, capacity, &mut objects);
+    }
+
+    /// The fault scheduled for this request, returned once; counts down the steps of the others.
+    fn mail_fault(&mut self, message: &[u8]) -> Option<MailFault> {
+        let object = object_of(message);
+        let mut hit = None;
+        self.mail_faults.retain_mut(|(step, fault)| {
+            let due = match step {
+                MailStep::Request(left) => {
+                    *left = left.saturating_sub(1);
+                    *left == 0
+                }
+                MailStep::Object(index, sub) => object == Some((*index, *sub)),
+            };
+            if due && hit.is_none() {
+                hit = Some(*fault);
+                return false;
+            }
+            true
+        });
+        hit
+    }
+}
