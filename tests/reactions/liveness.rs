@@ -184,6 +184,7 @@ fn drives_that_were_off_or_away_for_long_get_the_time_back_with_one_acknowledgem
         }
         println!("    {:?}", robot.fault());
         assert_eq!(acknowledge(&mut robot), None);
+        robot.run(1_000);
         let differences = differences_ns(&mut robot);
         println!("    differences {differences:?} ns");
         assert_eq!(differences.len(), 4);
