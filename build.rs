@@ -72,6 +72,7 @@ SECTIONS
   {
     __sdtcm = .;
     *(.bss.*__rtic_internal_local_init_parts* .bss.*__rtic_internal_local_init_frame_port*);
+    *(.bss..L_MergedGlobals*);
     *(.uninit.rtic*);
     *(.uninit.defmt-rtt.BUFFER);
     . = ALIGN(8);

@@ -211,15 +211,15 @@ impl AxisState {
     }
 
     /// The axis is no longer homed after a jump: a joint without power may be moved by hand, but not faster than its motor
-    /// can move, nor get there at once. `before` is the step a millisecond before the last `cycles` milliseconds.
+    /// can move, nor get there at once; it may stop at once. `before` is the step in the millisecond before the last
+    /// `cycles` milliseconds.
     #[cold]
     fn look_for_jump(&mut self, difference: i32, before: i32, cycles: i32) {
-        let (ms, off) = (
-            i64::from(cycles),
-            i64::from(difference) - i64::from(before) * i64::from(cycles),
-        );
-        let reachable = i64::from(self.jump_increments_ms2) * ms * ms;
-        if self.step.unsigned_abs() > self.jump_increments || off.abs() > reachable {
+        let ms = i64::from(cycles);
+        let (going_on, gained) = (i64::from(before) * ms, i64::from(self.jump_increments_ms2) * ms * ms);
+        let reachable = going_on.min(0) - gained..=going_on.max(0) + gained;
+        let is_fast = self.step.unsigned_abs() > self.jump_increments;
+        if is_fast || !reachable.contains(&difference.into()) {
             self.lose_home();
         }
     }

@@ -101,7 +101,7 @@ fn a_slave_that_falls_back_in_op_with_any_code_is_named_and_repaired_and_disturb
                 }
                 let left = rig.log[from..].iter().any(|event| {
                     matches!(event, BusEvent::SlaveLeft { position, report }
-                        if usize::from(*position) + 1 == slave && report.code == code && report.is_error())
+                        if usize::from(*position) + 1 == slave && report.code == code && report.is_flagged())
                 });
                 if left && noticed_ms == 0 {
                     noticed_ms = ms + 1;
