@@ -1,7 +1,7 @@
 //! pysoem (SOEM), an independent master, on the virtual segment: one cable, two network namespaces.
 //!
-//! `pysoem_master.py` brings the slaves up and prints what it saw; the rules are here. Without root, raw sockets or PyPI
-//! the test says that it was left out. With `ETHERPEN_REQUIRE_PYSOEM` set, as in continuous integration, it fails.
+//! `pysoem_master.py` brings the slaves up and prints what it saw; the rules are here. Without root, raw sockets or
+//! PyPI the test says that it was left out. With `ETHERPEN_REQUIRE_PYSOEM` set, as in continuous integration, it fails.
 
 use crate::network::Network;
 use crate::program::{Folder, Running, etherpen, wait_until};

@@ -84,7 +84,7 @@ class Bus:
         self.digital = [slave for slave in self.slaves if (slave.man, slave.id) == (VENDOR_BECKHOFF, EL2004)]
 
     def states(self):
-        """States without the error bit. SOEM acknowledges with every request, and a terminal shows that bit as it is."""
+        """States without the error bit: SOEM acknowledges with every request, and a terminal mirrors that bit."""
         self.master.read_state()
         return [slave.state & 0x0F for slave in self.slaves]
 
