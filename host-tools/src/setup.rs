@@ -294,6 +294,8 @@ fn lock_holder(said: &str) -> Option<String> {
 const VPYPE: &str = "vpype==1.15.0";
 /// The version of unicorn, a Cortex-M7 emulator, on which the board's start-up is run.
 const UNICORN: &str = "unicorn==2.1.4";
+/// The version of pysoem, SOEM for Python, an EtherCAT master of another project that brings up the virtual segment.
+const PYSOEM: &str = "pysoem==1.1.13";
 
 /// A Python with vpype, in a separate folder below the target folder; installed if it is missing.
 ///
@@ -309,6 +311,14 @@ pub fn ensure_vpype() -> Result<PathBuf, SetupError> {
 /// What is missing and how to get it.
 pub fn ensure_unicorn() -> Result<PathBuf, SetupError> {
     ensure_python("unicorn", UNICORN, "")
+}
+
+/// A Python with pysoem, in a separate folder below the target folder; installed if it is missing.
+///
+/// # Errors
+/// What is missing and how to get it.
+pub fn ensure_pysoem() -> Result<PathBuf, SetupError> {
+    ensure_python("pysoem", PYSOEM, "")
 }
 
 /// A Python with `module` from the given version of PyPI's `package`.

@@ -94,6 +94,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         setup::ensure_program(program)?;
     }
     setup::ensure_unicorn()?;
+    setup::ensure_pysoem()?;
     // In parallel, because neither keeps all processors busy; after an error in one, the other completes its step.
     let has_failed = AtomicBool::new(false);
     let noted = |result: Result<(), ProgramError>| {

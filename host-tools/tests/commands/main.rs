@@ -24,6 +24,7 @@ mod outside;
 mod pictures;
 mod plan;
 mod program;
+mod pysoem;
 mod recording;
 #[cfg(target_os = "linux")]
 mod restarted;

@@ -125,12 +125,19 @@ impl Running {
     }
 
     pub(crate) fn end(&mut self) -> ExitStatus {
-        let mut status = None;
-        wait_until("end of the program", || {
-            status = self.child.try_wait().expect("a child can be asked");
-            status.is_some()
-        });
-        status.expect("it has ended")
+        self.end_within(PATIENCE)
+    }
+
+    /// Waits for the end of a program that may take longer than [`PATIENCE`].
+    pub(crate) fn end_within(&mut self, patience: Duration) -> ExitStatus {
+        let begun = Instant::now();
+        loop {
+            if let Some(status) = self.child.try_wait().expect("a child can be asked") {
+                return status;
+            }
+            assert!(begun.elapsed() < patience, "the program did not end; {}", self.stderr());
+            std::thread::sleep(LOOK);
+        }
     }
 }
 

@@ -1,0 +1,162 @@
+//! pysoem (SOEM), an independent master, on the virtual segment: one cable, two network namespaces.
+//!
+//! `pysoem_master.py` brings the slaves up and prints what it saw; the rules are here. Without root, raw sockets or
+//! PyPI the test says that it was left out. With `ETHERPEN_REQUIRE_PYSOEM` set, as in continuous integration, it fails.
+
+use crate::network::Network;
+use crate::program::{Folder, Running, etherpen, wait_until};
+use host_tools::setup;
+use nix::sys::socket::{AddressFamily, SockFlag, SockProtocol, SockType, socket};
+use serde_json::{Value, json};
+use std::path::Path;
+use std::process::Command;
+use std::time::Duration;
+
+/// Set to anything: the test fails where it would be left out.
+const REQUIRE: &str = "ETHERPEN_REQUIRE_PYSOEM";
+const SLAVES: &str = "ek1100,el1008,el2004,ax2000,cia402,cia402";
+/// Vendor, product, revision and name of each slave in the chain.
+const IDENTITIES: [(u32, u32, u32, &str); 6] = [
+    (2, 0x044C_2C52, 0x0012_0000, "EK1100 EtherCAT Coupler"),
+    (2, 0x03F0_3052, 0x0010_0000, "EL1008 8 digital inputs 24 V, 3 ms"),
+    (2, 0x07D4_3052, 0x0010_0000, "EL2004 4 digital outputs 24 V, 0.5 A"),
+    (2, 0x07D0_6014, 0x0000_110A, "AX2000-B110 EtherCAT Drive"),
+    (0x0E7E, 0x0402, 0x0001_0000, "etherpen CiA 402 drive"),
+    (0x0E7E, 0x0402, 0x0001_0000, "etherpen CiA 402 drive"),
+];
+/// First slave with a mailbox and a clock, from 0; all behind it have them too.
+const DRIVES_FROM: usize = 3;
+/// Places of the terminals, from 0.
+const EL1008: usize = 1;
+const EL2004: usize = 2;
+/// States as the AL status register has them.
+const STATES: [(&str, u8); 5] = [
+    ("PREOP", 2),
+    ("SAFEOP", 4),
+    ("OP", 8),
+    ("OP after the cycles", 8),
+    ("INIT", 1),
+];
+/// Cycles required without a wrong working counter.
+const CYCLES: u64 = 10_000;
+/// Inputs add 1, outputs 2: EL1008, EL2004, and both for each of three drives.
+const WORKING_COUNTER: u64 = 1 + 2 + 3 * 3;
+/// Object "Device name" as a key of the SDO information.
+const DEVICE_NAME: &str = "0x1008";
+/// SYNC0, active (register 0x0981).
+const SYNC0_ACTIVE: u8 = 3;
+const SYNC0_NS: u32 = 1_000_000;
+/// Longest run of the master; it gives up by itself when an answer does not come within two minutes.
+const PATIENCE: Duration = Duration::from_secs(30 * 60);
+
+/// Says that the test was not run, past the test harness too; fails if it had to be run.
+fn leave_out(why: &str) {
+    let message = format!("SKIPPED the test with pysoem: {why}");
+    println!("{message}");
+    eprintln!("{message}");
+    let required = std::env::var_os(REQUIRE).is_some_and(|value| !value.is_empty());
+    assert!(!required, "{REQUIRE} is set, but: {message}");
+}
+
+/// Whether this process may use network interfaces directly.
+fn has_raw_sockets() -> Result<(), String> {
+    let family = AddressFamily::Packet;
+    let opened = socket(family, SockType::Raw, SockFlag::SOCK_CLOEXEC, SockProtocol::EthAll);
+    opened
+        .map(drop)
+        .map_err(|cause| format!("no raw sockets here ({cause})"))
+}
+
+/// What pysoem saw of the segment; `None` if it cannot be run here.
+fn run() -> Option<Value> {
+    if let Err(why) = has_raw_sockets() {
+        leave_out(&why);
+        return None;
+    }
+    let python = match setup::ensure_pysoem() {
+        Ok(python) => python,
+        Err(missing) => {
+            leave_out(&missing.to_string());
+            return None;
+        }
+    };
+    let Some(network) = Network::new("the test with pysoem") else {
+        leave_out("it makes network namespaces, which takes root");
+        return None;
+    };
+    let folder = Folder::new();
+    let [at_segment, at_master] = network.interfaces();
+    let mut program = etherpen(&folder);
+    program.args(["segment", "--slaves", SLAVES, "--interface", at_segment]);
+    let mut segment = Running::start(&mut network.command(0, &program));
+    segment.wait_for("segment", |running| {
+        running.stdout().contains("interface:").then_some(())
+    });
+    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/commands/pysoem_master.py");
+    let mut program = Command::new(python);
+    // `-B` leaves no byte code among the sources.
+    program.arg("-B").arg(script).args([at_master, &CYCLES.to_string()]);
+    let mut master = Running::start(&mut network.command(1, &program));
+    let status = master.end_within(PATIENCE);
+    assert!(
+        status.success(),
+        "pysoem: {status}; {}; segment: {}",
+        master.stderr(),
+        segment.stderr()
+    );
+    // The end of a program may be seen before the last of what it printed.
+    let report = || serde_json::from_str(&master.stdout()).ok();
+    wait_until("pysoem's report", || {
+        report().is_some_and(|value: Value| value.is_object())
+    });
+    report()
+}
+
+#[test]
+fn pysoem_brings_up_terminals_and_drives_and_exchanges_ten_thousand_cycles_without_a_wrong_counter() {
+    let Some(report) = run() else {
+        return;
+    };
+    let slaves = report["slaves"].as_array().expect("a list");
+    assert_eq!(slaves.len(), IDENTITIES.len(), "{report:#}");
+    for (slave, (vendor, product, revision, name)) in slaves.iter().zip(IDENTITIES) {
+        let seen = ["vendor", "product", "revision", "name"].map(|key| &slave[key]);
+        assert_eq!(seen, [&json!(vendor), &json!(product), &json!(revision), &json!(name)]);
+    }
+    for (name, state) in STATES {
+        assert_eq!(
+            report["states"][name],
+            Value::from(vec![state; IDENTITIES.len()]),
+            "{name}"
+        );
+    }
+    assert_eq!(report["working_counter"], WORKING_COUNTER);
+    // Every cycle has this counter, none another.
+    assert_eq!(
+        report["working_counters"],
+        json!({ WORKING_COUNTER.to_string(): CYCLES })
+    );
+    assert_eq!(
+        (&report["cycles_disabled"], &report["clocks"]),
+        (&json!(0), &json!(true))
+    );
+
+    let (terminals, drives) = slaves.split_at(DRIVES_FROM);
+    assert!(
+        terminals.iter().all(|slave| slave["device_name"].is_null()),
+        "{report:#}"
+    );
+    for (drive, (.., name)) in drives.iter().zip(&IDENTITIES[DRIVES_FROM..]) {
+        assert_eq!((&drive["device_name"], &drive["name"]), (&json!(name), &json!(name)));
+        assert_eq!(drive["objects"][DEVICE_NAME], "Device name", "{drive:#}");
+        let sync0 = json!({ "activation": SYNC0_ACTIVE, "cycle_ns": SYNC0_NS, "runs": true });
+        assert_eq!(drive["sync0"], sync0, "{name}");
+        let moved = drive["moved"].as_i64().expect("increments");
+        assert!(moved > 0, "{name} moved by {moved} increments");
+    }
+    assert_eq!(slaves[EL1008]["inputs"], "00", "nothing is wired to the inputs");
+    let digital = &slaves[EL2004]["digital"];
+    assert!(digital["set"] != 0 && digital["held"] == digital["set"], "{digital}");
+    assert_eq!(digital["fed"], true, "the watchdog of the outputs");
+    println!("pysoem {}: {CYCLES} cycles, none wrong", report["pysoem"]);
+}
