@@ -4,6 +4,8 @@ use super::super::episode::{Figure, Wish};
 use super::super::ink;
 use super::{Operator, Stage, test_figure};
 use etherpen::application::{Fault as Reason, Mode};
+use etherpen::ethercat::diagnostics::ServiceRequest;
+use etherpen::ethercat::state::AlState;
 use etherpen::link::message::PathAck;
 use etherpen::messages::Command;
 use etherpen::motion::Pen;
@@ -76,6 +78,7 @@ impl Operator<'_> {
             }
             Mode::Startup | Mode::BusConfiguring | Mode::DrivesOff if !is_configured => self.configure(),
             Mode::Startup | Mode::BusConfiguring | Mode::Stopping | Mode::Moving => {}
+            Mode::DrivesOff if !homed && self.raise_parked() => {}
             Mode::DrivesOff | Mode::Unreferenced if !homed || self.judge.asks_for_homing() => self.home(),
             Mode::DrivesOff => self.say(Command::Enable),
             Mode::Unreferenced => self.say(Command::Disable),
@@ -86,6 +89,22 @@ impl Operator<'_> {
             Mode::Holding => self.say(Command::Resume),
             Mode::Drawing => {}
         }
+    }
+
+    /// Brings a slave back to OP that the operator has taken out of it: without its position the robot cannot be homed.
+    /// Returns whether there is one.
+    fn raise_parked(&mut self) -> bool {
+        let slaves = self.status.iter().flat_map(|status| &status.slaves);
+        let is_below = |al_state: u8| (AlState::Init as u8..AlState::Operational as u8).contains(&al_state);
+        let parked = slaves.enumerate().find(|(_, slave)| is_below(slave.al_state));
+        let Some((slave, _)) = parked.filter(|_| self.stage != Stage::Free) else {
+            return false;
+        };
+        self.session.bus(ServiceRequest::SetState {
+            slave: slave as u8,
+            state: AlState::Operational,
+        });
+        true
     }
 
     /// Puts the product back that the controller asks for: the drives may have been exchanged before it first saw them.
