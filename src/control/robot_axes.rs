@@ -106,6 +106,8 @@ struct AxisState {
     ramp_digits: i32,
     /// Largest change of the position in a millisecond, increments.
     jump_increments: u32,
+    /// Step before the last but one, while commands are not compared.
+    step_before: i32,
     /// Change of that in a millisecond above which it is one.
     jump_increments_ms2: u32,
     implausible: Option<Implausible>,
@@ -135,6 +137,7 @@ impl AxisState {
             sent: 0,
             compared_ms: 0,
             ramp_digits: 0,
+            step_before: 0,
             jump_increments_ms2: (JUMP_RAD_S2 * axis.gear.abs() * f64::from(increments) / TAU / 1e6) as u32 + 1,
             jump_increments: (JUMP_SPEED * axis.output_max_rad_s.abs() * axis.gear.abs() * f64::from(increments)
                 / TAU
@@ -212,21 +215,25 @@ impl AxisState {
 
     /// The axis is no longer homed after a jump: a joint without power may be moved by hand, but not faster than its motor
     /// can move, nor get there at once; it may stop at once. `before` is the step in the millisecond before the last
-    /// `cycles` milliseconds.
+    /// `cycles` milliseconds. A step and the one before it are judged together: a drive may report a position twice. After
+    /// a gap of more than about 16 ms only the speed tells.
     #[cold]
     fn look_for_jump(&mut self, difference: i32, before: i32, cycles: i32) {
-        let ms = i64::from(cycles);
-        let (going_on, gained) = (i64::from(before) * ms, i64::from(self.jump_increments_ms2) * ms * ms);
+        let (ms, moved) = (i64::from(cycles) + 1, i64::from(difference) + i64::from(before));
+        let going_on = i64::from(self.step_before) * ms;
+        let gained = i64::from(self.jump_increments_ms2) * ms * ms;
         let reachable = going_on.min(0) - gained..=going_on.max(0) + gained;
         let is_fast = self.step.unsigned_abs() > self.jump_increments;
-        if is_fast || !reachable.contains(&difference.into()) {
+        if is_fast || !reachable.contains(&moved) {
             self.lose_home();
         }
+        self.step_before = before;
     }
 
     #[cold]
     fn end_comparison(&mut self) {
         (self.compared_ms, self.sent) = (0, 0);
+        self.step_before = self.step;
         self.feedback.reset();
     }
 

@@ -302,7 +302,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
     fn steer(&mut self) {
         let state = self.group.bus_state();
         let clock = state.reference_clock;
-        if clock != self.clock {
+        if clock != self.clock || clock.is_some() && self.time_number != Some(state.time_number) {
             self.follow_clock(clock, state.time_number);
         }
         self.timer_correction_ns = match self.clock {

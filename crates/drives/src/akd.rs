@@ -36,6 +36,5 @@ pub static AKD: DriveDescription = DriveDescription {
         inputs: 0x1140,
     },
     clocks: Clocks::SYNC0,
-    shows_mode_early: false,
     settings: generic::settings,
 };

@@ -49,7 +49,6 @@ pub static AX2000: DriveDescription = DriveDescription {
         inputs: 0x1140,
     },
     clocks: Clocks::SYNC0,
-    shows_mode_early: true,
     settings,
 };
 

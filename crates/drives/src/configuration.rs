@@ -1,9 +1,9 @@
 //! Configuration of a drive in PREOP: process data of its mode, mode of operation, settings, and the layout.
 //!
-//! Not every drive shows its mode in PREOP: of those it is only checked that they have taken it, and the mode in effect
-//! in each cycle, where the process data have it.
+//! Some drives show a mode only when they have power. One whose process data show the mode only has to take it here, and
+//! is watched in each cycle; any other one has to show it in PREOP.
 //!
-//! Invariant: the layout follows the actual lists of the drive; a missing value is always detected.
+//! Invariant: the layout follows the actual lists of the drive; a missing value and a wrong mode are always detected.
 
 use crate::layout::LayoutBuilder;
 use crate::layout::ProcessLayout;
@@ -36,19 +36,20 @@ pub(crate) async fn used<F: SlaveFactory<Layout = ProcessLayout>, const MESSAGE:
 
     let outputs_taken = slave.assign(Direction::Outputs, &mode.outputs).await?;
     let inputs_taken = slave.assign(Direction::Inputs, &mode.inputs).await?;
+    let data = match twin {
+        Some(twin) if outputs_taken && inputs_taken && twin.layout.mode == drive.mode => *twin,
+        _ => lay_out(kind, drive.mode, mode, slave).await?,
+    };
     let operation_mode = Setting::of(OPERATION_MODE, i32::from(mode.operation_mode).cast_unsigned(), 1);
-    let checked = match kind.shows_mode_early {
-        true => operation_mode.shown_by(OPERATION_MODE_DISPLAY),
-        false => operation_mode.verified(),
+    let checked = match data.layout.shows_mode() {
+        true => operation_mode.verified(),
+        false => operation_mode.shown_by(OPERATION_MODE_DISPLAY),
     };
     slave.write(&checked).await?;
     for setting in &settings {
         slave.write(setting).await?;
     }
-    match twin {
-        Some(twin) if outputs_taken && inputs_taken && twin.layout.mode == drive.mode => Ok(*twin),
-        _ => lay_out(kind, drive.mode, mode, slave).await,
-    }
+    Ok(data)
 }
 
 /// Chooses the process data of a drive that the application does not use, in its first mode, and makes their layout.

@@ -66,7 +66,6 @@ pub static GENERIC: DriveDescription = DriveDescription {
         inputs: 0x1400,
     },
     clocks: Clocks::SYNC0,
-    shows_mode_early: false,
     settings,
 };
 

@@ -43,6 +43,11 @@ pub struct ProcessLayout {
 }
 
 impl ProcessLayout {
+    /// Whether the drive shows its mode in each cycle.
+    pub const fn shows_mode(&self) -> bool {
+        self.mode_display != ABSENT
+    }
+
     /// Decodes inputs; `None` when there are too few bytes.
     #[inline]
     pub fn decode(&self, inputs: &[u8]) -> Option<DriveInput> {

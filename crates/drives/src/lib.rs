@@ -226,8 +226,6 @@ pub struct DriveDescription {
     pub windows: Windows,
     /// Use of the distributed clocks if the SII does not describe it.
     pub clocks: Clocks,
-    /// Whether the drive shows a mode of operation (0x6061) in PREOP already; many do when their power stage is on.
-    pub shows_mode_early: bool,
     /// Settings for an axis, written in PREOP; `None` when a value does not fit the drive's object.
     pub settings: fn(&DriveSettings) -> Option<SettingList>,
 }

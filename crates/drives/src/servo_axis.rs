@@ -44,6 +44,9 @@ impl Scale {
     }
 }
 
+/// Cycles in which a drive with power may show another mode; it gets no demand meanwhile.
+const MODE_CYCLES_MAX: u8 = 10;
+
 /// One axis and its drive.
 #[derive(Clone, Copy, Debug)]
 pub struct ServoAxis {
@@ -52,6 +55,8 @@ pub struct ServoAxis {
     position: i32,
     state: DriveState,
     mode_in_effect: bool,
+    /// Cycles with power in which the drive has shown another mode.
+    without_mode: u8,
 }
 
 impl Default for ServoAxis {
@@ -69,6 +74,7 @@ impl ServoAxis {
             position: 0,
             state: StatusWord(0).state(),
             mode_in_effect: false,
+            without_mode: 0,
         }
     }
 
@@ -109,7 +115,8 @@ impl ServoAxis {
     /// Whether an output lets the drive run: its demand is in effect.
     #[inline]
     pub fn runs(&self, output: &DriveOutput) -> bool {
-        self.state == DriveState::OperationEnabled && output.control == ControlWord::ENABLE_OPERATION
+        let is_enabled = output.control == ControlWord::ENABLE_OPERATION;
+        self.state == DriveState::OperationEnabled && is_enabled && self.mode_in_effect
     }
 
     /// A demand in digits, if the drive takes this kind of demand, else 0.
@@ -130,17 +137,32 @@ impl ServoAxis {
         (digits + if digits < 0.0 { -0.5 } else { 0.5 }) as i32
     }
 
+    /// Whether a drive that shows another mode may be enabled, or stay so for a moment: some show the mode when they have
+    /// power.
+    #[cold]
+    fn awaits_mode(&mut self) -> bool {
+        self.without_mode += u8::from(self.state == DriveState::OperationEnabled && self.without_mode < u8::MAX);
+        self.without_mode <= MODE_CYCLES_MAX
+    }
+
     #[inline(always)]
     fn output(&mut self, target: DriveTarget, mode: AxisMode, wanted: f64) -> DriveOutput {
-        let may_run = self.operational && self.mode_in_effect;
+        let may_run = self.operational && (self.mode_in_effect || self.awaits_mode());
         let target = match target {
             // A drive that is still moving brakes; any other one stays without power.
             DriveTarget::Enabled if !may_run => DriveTarget::QuickStop,
-            target => target,
+            DriveTarget::Enabled => DriveTarget::Enabled,
+            target => {
+                self.without_mode = 0;
+                target
+            }
         };
         let running = self.state == DriveState::OperationEnabled && target == DriveTarget::Enabled;
         DriveOutput {
-            demand_digits: if running { self.digits(mode, wanted) } else { 0 },
+            demand_digits: match running && self.mode_in_effect {
+                true => self.digits(mode, wanted),
+                false => 0,
+            },
             position: self.position,
             control: match running {
                 true => ControlWord::ENABLE_OPERATION,

@@ -149,6 +149,14 @@ fn a_jump_of_the_feedback_loses_the_pose_also_after_a_gap_and_a_hand_does_not() 
         robot.axes[1].step(input, 0);
         assert!(robot.is_homed(), "{ms} ms");
     }
+    // A drive that reports every third position twice.
+    let mut last = 0;
+    for ms in 401..800 {
+        let position = ((0.05 + 2.0 * (f64::from(ms) / 1e3 - 0.05)) * increments_per_rad) as i32;
+        last = if ms % 3 == 0 && ms > 401 { last } else { position };
+        robot.axes[1].step(at(last), 0);
+        assert!(robot.is_homed(), "{ms} ms");
+    }
 }
 
 #[test]

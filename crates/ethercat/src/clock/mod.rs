@@ -35,6 +35,8 @@ pub const DIFFERENCE_MAX_NS: u32 = 1_000;
 pub const DIFFERENCE_TIMEOUT_MS: u32 = 5_000;
 /// Time from the activation of SYNC0 to its first pulse, ns: many cycles, so that lost frames do not matter.
 const START_AHEAD_NS: u64 = 100_000_000;
+/// How often the reference's time is continued, ms.
+const FOLLOW_PERIOD_MS: u32 = 1_000;
 /// Nanoseconds in a millisecond.
 const NS_PER_MS: u64 = 1_000_000;
 /// Bytes of the ports' receive times.
@@ -160,15 +162,15 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
         self.time_ns.map(|time_ns| time_ns.wrapping_add(passed_ns))
     }
 
-    /// The reference's time in 64 bits from what was read of it at `now_ms`: the value nearest to what the master's own
-    /// time lets expect.
-    fn extended_ns(&mut self, read_ns: u64, width: Width, now_ms: u32) -> u64 {
-        let time_ns = match (width, self.expected_ns(now_ms)) {
-            (Width::Bits32, Some(expected_ns)) => {
+    /// The reference's time in 64 bits from the low 32 bits that were read of it at `now_ms`: the value nearest to what
+    /// the master's own time lets expect. The upper bits of a clock of 64 bits that was set by one of 32 say nothing.
+    fn extended_ns(&mut self, read_ns: u64, now_ms: u32) -> u64 {
+        let time_ns = match self.expected_ns(now_ms) {
+            Some(expected_ns) => {
                 let off_ns = (read_ns as u32).wrapping_sub(expected_ns as u32) as i32;
                 expected_ns.wrapping_add_signed(off_ns.into())
             }
-            _ => read_ns,
+            None => read_ns,
         };
         (self.time_ns, self.read_ms) = (Some(time_ns), now_ms);
         time_ns
@@ -336,7 +338,7 @@ pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
     Ok(clocks)
 }
 
-/// Sets the bus time of a slave that was switched off or has heard nothing. The other slaves keep their time, even if this slave is the
+/// Sets the clock of a slave that was switched off or cut off to the time of the bus. The other slaves keep their time, even if this slave is the
 /// reference; if no other has it, this one continues it.
 ///
 /// # Errors
@@ -400,7 +402,7 @@ async fn settle<const SLAVES: usize, const MESSAGE: usize>(
     stations: &[u16],
     clocks: &mut BusClocks<SLAVES>,
 ) -> Result<(), BusError> {
-    let Some((station, width)) = reference_of(stations, clocks, |_| true) else {
+    let Some(station) = reference_of(stations, clocks, |_| true) else {
         return Ok(());
     };
     let expected = clocks.slaves.iter().filter(|slave| slave.width.is_some()).count() as u16;
@@ -411,7 +413,7 @@ async fn settle<const SLAVES: usize, const MESSAGE: usize>(
     let period_ns = i64::from(clocks.period_ns.max(1));
     for _ in 0..SETTLING_FRAMES {
         let read_ns = read_u64(&port.send_until_counted(&request, expected).await?, 0);
-        let time_ns = clocks.extended_ns(read_ns, width, port.now_ms());
+        let time_ns = clocks.extended_ns(read_ns, port.now_ms());
         let phase_ns = (time_ns % period_ns.unsigned_abs()) as i64;
         let first_ns = *first_ns.get_or_insert(phase_ns);
         // Takes the difference by the shorter way round the period.
@@ -423,27 +425,29 @@ async fn settle<const SLAVES: usize, const MESSAGE: usize>(
     Ok(())
 }
 
-/// Station address and width of the clock that distributes its time.
+/// Station address of the clock that distributes its time.
 fn reference_of<const SLAVES: usize>(
     stations: &[u16],
     clocks: &BusClocks<SLAVES>,
     answers: impl Fn(usize) -> bool,
-) -> Option<(u16, Width)> {
-    let place = clocks.distributor(answers)?;
-    Some((*stations.get(place)?, clocks.slaves.get(place)?.width?))
+) -> Option<u16> {
+    stations.get(clocks.distributor(answers)?).copied()
 }
 
-/// Continues the reference's time in 64 bits; call it at least every 2 s. Does nothing if the reference has 64 bits.
+/// Continues the reference's time in 64 bits once a second. The master's time may be off by 2 s in between.
 pub async fn follow<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
     clocks: &mut BusClocks<SLAVES>,
     answers: impl Fn(usize) -> bool,
 ) {
-    if let Some((station, Width::Bits32)) = reference_of(stations, clocks, answers)
+    if port.now_ms().wrapping_sub(clocks.read_ms) < FOLLOW_PERIOD_MS {
+        return;
+    }
+    if let Some(station) = reference_of(stations, clocks, answers)
         && let Ok(bytes) = port.read(station, register::DC_SYSTEM_TIME, 4).await
     {
-        clocks.extended_ns(read_u32(&bytes, 0).into(), Width::Bits32, port.now_ms());
+        clocks.extended_ns(read_u32(&bytes, 0).into(), port.now_ms());
     }
 }
 
@@ -504,7 +508,7 @@ pub async fn start_sync<const SLAVES: usize, const MESSAGE: usize>(
 ) -> Result<u64, BusError> {
     let station = stations.get(position).copied().unwrap_or(0);
     let delay_ns = clocks.slaves.get(position).map_or(0, |slave| slave.delay_ns);
-    let (reference, width) = reference_of(stations, clocks, answers).unwrap_or((station, Width::Bits64));
+    let reference = reference_of(stations, clocks, answers).unwrap_or(station);
     stop_sync(port, station).await?;
     port.write(station, register::DC_SYNC0_CYCLE, &clocks.period_ns.to_le_bytes())
         .await?;
@@ -520,7 +524,7 @@ pub async fn start_sync<const SLAVES: usize, const MESSAGE: usize>(
     })
     .await?;
     let [reference_ns, local_ns] = times_ns;
-    let now_ns = clocks.extended_ns(reference_ns, width, port.now_ms());
+    let now_ns = clocks.extended_ns(reference_ns, port.now_ms());
     let ahead_ns = clocks.start_time_ns(now_ns, shift_ns).wrapping_sub(now_ns);
     let start_ns = local_ns.wrapping_sub(delay_ns.into()).wrapping_add(ahead_ns);
     port.write(station, register::DC_START_TIME, &start_ns.to_le_bytes())

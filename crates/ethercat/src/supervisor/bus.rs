@@ -355,7 +355,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
                 Condition::Operational if report.is(AlState::Operational) => (Condition::Operational, report),
                 left_alone @ (Condition::Parked | Condition::Unused) => (left_alone, report),
                 // A bring-up that another slave ended has left it where it was.
-                Condition::Configuring if !report.is_error() => (Condition::Configuring, report),
+                Condition::Configuring if !report.is_flagged() => (Condition::Configuring, report),
                 _ => (Condition::LeftOperational, report),
             },
         };

@@ -47,6 +47,8 @@ pub const LINK_TIMEOUT_MS: u32 = 5_000;
 const REPAIR_TRIES_MAX: u8 = 3;
 /// How long a chain that has changed after a failed bring-up has to be stable before the next one, ms.
 const CHANGED_MS: u32 = 100;
+/// Bring-ups without a command, after each change of the chain: a loose contact does not restart the drives for ever.
+const RETRIES_MAX: u8 = 10;
 /// Rescans that may fail one after the other before the chain is taken as it is.
 const RESCANS_FAILED_MAX: u8 = 10;
 
@@ -125,6 +127,8 @@ pub struct Supervisor<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     slaves_sorted: u16,
     /// When that number changed after the failed bring-up; `None` if it has not.
     changed_ms: Option<u32>,
+    /// Bring-ups since the last command that began because the chain had changed.
+    retries: u8,
     /// Rescans of this number that failed, one after the other.
     rescans_failed: u8,
     inspected_ms: u32,
@@ -161,6 +165,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             phase: Phase::Stopped,
             slaves_sorted: 0,
             changed_ms: None,
+            retries: 0,
             rescans_failed: 0,
             inspected_ms: 0,
             looked_ms: 0,
@@ -176,7 +181,11 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
     /// Runs the supervisor and never returns. Poll the future once a millisecond.
     pub async fn run(&mut self) -> ! {
         loop {
-            match (self.inbox.commands.dequeue(), self.phase) {
+            let command = self.inbox.commands.dequeue();
+            if matches!(command, Some(BusCommand::Start(_) | BusCommand::Recover)) {
+                self.retries = 0;
+            }
+            match (command, self.phase) {
                 (Some(BusCommand::Start(setup)), _) => {
                     self.stop().await;
                     self.bus.setup = setup;
@@ -217,7 +226,12 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         let is_stable = self
             .changed_ms
             .is_some_and(|changed_ms| now_ms.wrapping_sub(changed_ms) >= CHANGED_MS);
-        if is_stable && there >= u16::from(self.bus.setup.members.max(1)) && !self.inbox.port.is_down() {
+        if is_stable
+            && self.retries < RETRIES_MAX
+            && there >= u16::from(self.bus.setup.members.max(1))
+            && !self.inbox.port.is_down()
+        {
+            self.retries += 1;
             self.start().await;
         }
     }
@@ -250,6 +264,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             Err(Interruption::Command) => {}
             Err(Interruption::Bus) if self.inbox.port.is_down() => self.report_missing_link().await,
             Err(Interruption::Bus) => {
+                self.slaves_sorted = self.inbox.slaves();
                 self.bus.inspect(0..SLAVES).await;
                 let error = BusError::SlaveCount {
                     expected: self.bus.slaves.len() as u16,
@@ -356,6 +371,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 inbox.guard(expected, false, work).await
             };
             bus.clocks.hold(false);
+            bus.send_plan().await;
             // A chain that has changed meanwhile is looked through again at the next suspicion; a slave that never
             // answers as it should does not keep the bus busy for ever.
             self.rescans_failed = match result {

@@ -63,11 +63,12 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             state::change(&mut self.port, station, target).await?;
         }
         let report = state::report(&mut self.port, station).await?;
+        if let Some(slave) = self.slaves.get_mut(number) {
+            slave.report = report;
+        }
+        self.introduce(number).await;
         if target == AlState::Operational && slave.member.is_some() && report.is(target) {
             self.set_condition(number, Condition::Operational);
-            if let Some(slave) = self.slaves.get_mut(number) {
-                slave.report = report;
-            }
             if self.is_operational() {
                 self.emit(BusEvent::Operational).await;
             }
