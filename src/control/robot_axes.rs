@@ -215,16 +215,18 @@ impl AxisState {
 
     /// The axis is no longer homed after a jump: a joint without power may be moved by hand, but not faster than its motor
     /// can move, nor get there at once; it may stop at once. `before` is the step in the millisecond before the last
-    /// `cycles` milliseconds. A step and the one before it are judged together: a drive may report a position twice. After
-    /// a gap of more than about 16 ms only the speed tells.
+    /// `cycles` milliseconds. A jump is one alone and together with the step before it: a drive may report a position
+    /// twice. After a gap of more than about 16 ms only the speed tells.
     #[cold]
     fn look_for_jump(&mut self, difference: i32, before: i32, cycles: i32) {
-        let (ms, moved) = (i64::from(cycles) + 1, i64::from(difference) + i64::from(before));
-        let going_on = i64::from(self.step_before) * ms;
-        let gained = i64::from(self.jump_increments_ms2) * ms * ms;
-        let reachable = going_on.min(0) - gained..=going_on.max(0) + gained;
-        let is_fast = self.step.unsigned_abs() > self.jump_increments;
-        if is_fast || !reachable.contains(&moved) {
+        let is_beyond = |moved: i64, from: i32, ms: i64| {
+            let going_on = i64::from(from) * ms;
+            let gained = i64::from(self.jump_increments_ms2) * ms * ms;
+            !(going_on.min(0) - gained..=going_on.max(0) + gained).contains(&moved)
+        };
+        let (ms, moved) = (i64::from(cycles), i64::from(difference));
+        let is_jump = is_beyond(moved, before, ms) && is_beyond(moved + i64::from(before), self.step_before, ms + 1);
+        if is_jump || self.step.unsigned_abs() > self.jump_increments {
             self.lose_home();
         }
         self.step_before = before;
