@@ -1,9 +1,9 @@
 //! Any servo drive of CiA 402 in cyclic synchronous velocity and cyclic synchronous torque.
 //!
 //! Used for every product that has no description of its own and reports in object 0x1000 that it is a servo drive of
-//! profile 402, servo or stepper. The entries below are mapped into the first process data object of each direction. A drive that keeps
-//! its own mapping is used if the mapping contains the required objects. Objects, modes and units: CiA 402; a torque
-//! digit is a thousandth of the motor's rated torque, velocity digits are as configured.
+//! profile 402, servo or stepper. The entries below are mapped into the first process data object of each direction. A
+//! drive that keeps its own mapping is used if the mapping contains the required objects. Objects, modes and units:
+//! CiA 402; a torque digit is a thousandth of the motor's rated torque, velocity digits are as configured.
 
 use super::{
     CONTROL_WORD, Clocks, Digits, DriveDescription, DriveSettings, ModeDescription, OPERATION_MODE_DISPLAY, POSITION,

@@ -1,7 +1,8 @@
 //! The application layer's state machine of a slave: INIT, PREOP, SAFEOP, OP and their checks.
 //!
 //! One step up at a time, any step down. A refusal or a fallback sets the error bit and an AL status code; until the
-//! master has acknowledged it, every other request is ignored. Sync managers are checked all the time. States and codes: IEC 61158-6-12, AL control and AL status.
+//! master has acknowledged it, every other request is ignored. Sync managers are checked all the
+//! time. States and codes: IEC 61158-6-12, AL control and AL status.
 
 /// How long a request for OP waits for outputs, ms.
 const OUTPUTS_WAIT_MS: u32 = 200;

@@ -8,7 +8,7 @@
 //!
 //! SYNC0 starts a configured time after the present phase of the frames at the reference, so nothing has to jump when
 //! it starts. A clock of 32 bits wraps after 4.29 s, which is no whole number of periods: phases are those of the
-//! reference's time in 64 bits, which the master continues itself if the reference has only 32.
+//! reference's time in 64 bits, which the master continues from the lower 32.
 //!
 //! Only a read of the system time tells who has a clock: some terminals latch the times of a frame, and say in their
 //! features that they have clocks, but have none.
@@ -100,8 +100,8 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
         self.slaves.iter().position(|slave| slave.width.is_some())
     }
 
-    /// Place in the chain of the slave that distributes its time: the first that answers and has the time of the bus. A
-    /// lost one distributes nothing; the clocks before it would be written what the master has sent.
+    /// Place in the chain of the slave that distributes its time: the first that answers and has the time of the bus.
+    /// FRMW writes the time of the cycle before to clocks before that slave, so it has to be the first.
     fn distributor(&self, answers: impl Fn(usize) -> bool) -> Option<usize> {
         let mut places = self.slaves.iter().enumerate();
         places
@@ -131,7 +131,7 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
         })
     }
 
-    /// Holds the distribution of the time while a clock before the present reference is set, or goes on.
+    /// Whether the reference's time is only read, and not written to the other clocks.
     pub fn hold(&mut self, is_held: bool) {
         self.is_held = is_held;
     }
@@ -338,8 +338,8 @@ pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
     Ok(clocks)
 }
 
-/// Sets the clock of a slave that was switched off or cut off to the time of the bus. The other slaves keep their time, even if this slave is the
-/// reference; if no other has it, this one continues it.
+/// Sets the clock of a slave that was switched off or cut off to the time of the bus. The other slaves keep their time,
+/// even if this slave is the reference. If no other clock has the time of the bus, this one continues it.
 ///
 /// # Errors
 /// As [`AcyclicPort::send_until_counted`].

@@ -226,7 +226,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         self.slaves.iter().map(is_there).collect()
     }
 
-    /// Continues the time of a reference clock of 32 bits.
+    /// Continues the master's record of the bus time, see [`clock::follow`].
     pub(super) async fn follow_clock(&mut self) {
         let (stations, there) = (self.stations(), self.answering());
         let answers = |position: usize| there.get(position).is_some_and(|there| *there);
@@ -248,8 +248,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         self.send_plan().await;
     }
 
-    /// Sets the clock of a slave that was off or has heard nothing. Meanwhile no time is written to a slave before the
-    /// reference: it would be that of the cycle before.
+    /// Sets the clock of a slave that was switched off or cut off. Meanwhile the reference's time is only read: FRMW would
+    /// write the time of the cycle before to the clocks before the reference.
     pub(super) async fn restore_clock(&mut self, number: usize) -> Result<(), BusError> {
         if !self.clocks.has_clock(number) {
             return Ok(());
