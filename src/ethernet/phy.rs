@@ -2,7 +2,8 @@
 //!
 //! A register access takes some 30 us on the wire. Each step collects the result of the previous step's transaction and
 //! starts the next one, so no step blocks, a missing PHY does no harm, and a PHY that returns is found again. The PHY
-//! offers only 100 Mbit/s full duplex, which EtherCAT requires, so a MAC set to it always agrees.
+//! offers only 100 Mbit/s full duplex, which EtherCAT requires, so a MAC set to it always agrees. A partner that does not
+//! negotiate is recognised by its signal (parallel detection): the link is up, although the negotiation never finishes.
 //!
 //! Registers: IEEE 802.3 clause 22; independent of the type of PHY.
 
@@ -25,7 +26,6 @@ const NEGOTIATE: u16 = 1 << 12 | 1 << 9;
 /// 100BASE-TX full duplex, selector IEEE 802.3.
 const FULL_DUPLEX_100: u16 = 1 << 8 | 1;
 const LINK_UP: u16 = 1 << 2;
-const NEGOTIATED: u16 = 1 << 5;
 
 /// The management interface of a MAC: clause 22 transactions that run in hardware.
 pub trait Management {
@@ -88,7 +88,7 @@ impl Phy {
         }
     }
 
-    /// Whether the link was up and negotiated at the last check.
+    /// Whether the link was up at the last check.
     pub const fn link_is_up(&self) -> bool {
         self.link_is_up
     }
@@ -156,7 +156,7 @@ impl Phy {
             State::Polling | State::Resting(_) if !answers => self.search_next(),
             State::Polling | State::Resting(_) => {
                 self.state = State::Resting(POLL_PERIOD_STEPS);
-                self.set_link(value & (LINK_UP | NEGOTIATED) == LINK_UP | NEGOTIATED)
+                self.set_link(value & LINK_UP != 0)
             }
         }
     }
