@@ -399,7 +399,7 @@ pub fn ensure_qemu() -> Result<(), SetupError> {
 /// # Errors
 /// The build failed; the compiler has shown why.
 pub fn build_firmware(board: &str) -> Result<PathBuf, SetupError> {
-    build(board, board, &target_dir())
+    build(board, &Program::Firmware(board), &target_dir())
 }
 
 /// Builds a board's firmware with additional features, in a separate folder so that the board's image is kept; without
@@ -413,11 +413,40 @@ pub fn build_variant(board: &str, features: &[&str]) -> Result<PathBuf, SetupErr
     }
     let mut all = vec![board];
     all.extend(features);
-    build(board, &all.join(","), &target_dir().join("variants"))
+    build(
+        &all.join(","),
+        &Program::Firmware(board),
+        &target_dir().join("variants"),
+    )
 }
 
-fn build(board: &str, features: &str, target_dir: &Path) -> Result<PathBuf, SetupError> {
-    ensure_sources()?;
+/// Builds an example for the emulated board; returns the image.
+///
+/// # Errors
+/// As for [`build_firmware`].
+pub fn build_example(name: &str) -> Result<PathBuf, SetupError> {
+    build("emulated", &Program::Example(name), &target_dir())
+}
+
+/// Builds an example for this computer; returns the program.
+///
+/// # Errors
+/// As for [`build_firmware`].
+pub fn build_host_example(name: &str) -> Result<PathBuf, SetupError> {
+    let mut command = cargo();
+    // The whole workspace decides over features: with them, a run of all tests has built the example already.
+    command.args(["build", "--workspace", "--example", name]);
+    run_build(command, name)?;
+    Ok(target_dir().join("debug/examples").join(name))
+}
+
+/// What is built for a board.
+enum Program<'a> {
+    Firmware(&'a str),
+    Example(&'a str),
+}
+
+fn build(features: &str, program: &Program<'_>, target_dir: &Path) -> Result<PathBuf, SetupError> {
     ensure_target()?;
     let mut command = cargo();
     command.arg("build").arg("--target-dir").arg(target_dir);
@@ -429,15 +458,22 @@ fn build(board: &str, features: &str, target_dir: &Path) -> Result<PathBuf, Setu
         TARGET,
         "--no-default-features",
     ]);
-    let status = command
-        .args(["--features", features, "--bin", board])
-        .stdout(Stdio::null())
-        .status();
-    match status {
-        Ok(status) if status.success() => Ok(target_dir.join(TARGET).join("release").join(board)),
-        Ok(status) => error(format!(
-            "the firmware image `{board}` could not be built (cargo: {status})"
-        )),
+    command.args(["--features", features]);
+    let folder = target_dir.join(TARGET).join("release");
+    let (kind, name, image) = match *program {
+        Program::Firmware(name) => ("--bin", name, folder.join(name)),
+        Program::Example(name) => ("--example", name, folder.join("examples").join(name)),
+    };
+    command.args([kind, name]);
+    run_build(command, name)?;
+    Ok(image)
+}
+
+fn run_build(mut command: Command, name: &str) -> Result<(), SetupError> {
+    ensure_sources()?;
+    match command.stdout(Stdio::null()).status() {
+        Ok(status) if status.success() => Ok(()),
+        Ok(status) => error(format!("`{name}` could not be built (cargo: {status})")),
         Err(cause) => error(format!("cargo cannot be started: {cause}")),
     }
 }

@@ -27,6 +27,7 @@ pub(crate) const RELEASES_PER_MS: u32 = if cfg!(feature = "rate-8khz") {
 pub(crate) const INTERRUPT_LINES: u16 = 32;
 const INTERRUPTS: usize = INTERRUPT_LINES as usize;
 
+#[allow(unused_imports)] // RTIC looks for this name
 pub(crate) use Interrupt as interrupt;
 
 /// The interrupts that tasks can bind, by their number.
