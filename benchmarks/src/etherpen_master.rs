@@ -39,6 +39,8 @@ impl<'q> EtherpenMaster<'q> {
                 station: STATION,
                 slaves: DRIVES as u16,
                 wide: true,
+                is_spread: true,
+                time_number: 0,
             });
         }
         let (inputs, outputs) = (u32::from(case.data.inputs), u32::from(case.data.outputs));

@@ -13,6 +13,7 @@ pub use bounds::{ConfigError, Field, QUICK_STOP_MAX_MS};
 pub use bus::{AddressError, Bus, HostAddress, NetworkSettings, Transport};
 pub use etherpen_motion::settings::{Geometry, MotionLimits, Orientation, Paper, WorkCylinder};
 
+use crate::ethercat::slave_set::SlaveSet;
 use crate::hash::fnv1a;
 use crate::robot_bus::{PERIOD_NS, RobotBusSetup};
 use crate::robots::AXES;
@@ -85,6 +86,7 @@ impl Config {
     pub fn bus_setup(&self) -> RobotBusSetup {
         RobotBusSetup {
             members: self.bus.drives,
+            terminals: SlaveSet::NONE,
             settings: self.axes.each_ref().map(Axis::drive),
             exchange: self.bus.exchange,
             cycle_ns: PERIOD_NS,

@@ -29,6 +29,7 @@ pub fn bus_condition(event: &BusEvent) -> Option<BusCondition> {
         BusEvent::Found { .. }
         | BusEvent::Slave { .. }
         | BusEvent::Repaired { .. }
+        | BusEvent::TerminalRefused { .. }
         | BusEvent::Stopped
         | BusEvent::Emergency { .. }
         | BusEvent::CableErrors { .. } => return None,

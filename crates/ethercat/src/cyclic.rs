@@ -190,6 +190,17 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
         self.output_at(self.output_place(slave))
     }
 
+    /// The outputs of a slave (position in the chain) that the next telegram will carry, to be read.
+    #[inline]
+    pub fn sent(&self, slave: usize) -> &[u8] {
+        let place = self.output_place(slave);
+        let telegram = match self.plan.exchange {
+            ExchangeKind::Split => &self.second,
+            ExchangeKind::Combined => &self.first,
+        };
+        telegram.bytes(place.start.into(), place.length.into()).unwrap_or(&[])
+    }
+
     /// Place of the outputs of a slave (position in the chain), valid until the next plan.
     pub fn output_place(&self, slave: usize) -> OutputPlace {
         self.outputs.get(slave).copied().unwrap_or_default()

@@ -6,6 +6,7 @@ use super::driver::SlaveFactory;
 use super::error::BusError;
 use super::plan::ExchangeKind;
 use super::port_state::PortState;
+use super::slave_set::SlaveSet;
 use super::state::AlReport;
 use super::wire::coe::Emergency;
 use super::wire::sii::Identity;
@@ -15,6 +16,10 @@ use super::wire::sii::Identity;
 pub struct BusSetup<F: SlaveFactory> {
     /// Members expected: the first slaves in the chain that have a driver, in chain order.
     pub members: u8,
+    /// Places of further slaves that take part with their own process data: those of the set that are no members. They
+    /// are brought to OP, exchanged in each cycle, watched and repaired like members. One that fails keeps no member from
+    /// operating.
+    pub terminals: SlaveSet,
     /// Settings of the members.
     pub settings: F::Settings,
     /// When inputs are read and outputs are written.
@@ -30,10 +35,11 @@ pub struct BusSetup<F: SlaveFactory> {
 }
 
 impl<F: SlaveFactory> Default for BusSetup<F> {
-    /// No members, a cycle of 1 ms.
+    /// No members, no terminals, a cycle of 1 ms.
     fn default() -> Self {
         Self {
             members: 0,
+            terminals: SlaveSet::NONE,
             settings: F::Settings::default(),
             exchange: ExchangeKind::default(),
             cycle_ns: 1_000_000,
@@ -160,6 +166,15 @@ pub enum BusEvent {
         position: u8,
         /// Expiries counted by its watchdog.
         expiries: u8,
+    },
+    /// A slave of [`BusSetup::terminals`] could not be brought to OP; all other slaves go on.
+    TerminalRefused {
+        /// Place in the chain, from 0.
+        position: u8,
+        /// The step that failed.
+        step: Step,
+        /// Why it failed.
+        error: BusError,
     },
     /// Bring-up or repair failed.
     Refused {

@@ -4,7 +4,8 @@
 //!
 //! A module imports modules of lower layers only.
 //!
-//! 1. `wire`, `queue`, `port_state`: wire formats; queues between priorities; state of the Ethernet port
+//! 1. `wire`, `queue`, `port_state`, `slave_set`: wire formats; queues between priorities; state of the Ethernet port;
+//!    sets of slaves
 //! 2. `error`, `frame_port`: errors of the master; the seam to an Ethernet MAC
 //! 3. `acyclic`, `observation`: datagrams outside the cycle; what a cycle has observed
 //! 4. `mailbox`, `state`: mailboxes; states of slaves
@@ -14,7 +15,7 @@
 //! 8. `plan`, `slave`, `encapsulation`: contents of a cycle; what is known of a slave; UDP
 //! 9. `telegram`, `clock`: frames of a cycle; distributed clocks
 //! 10. `event`, `cyclic`: events and commands; the cyclic exchange
-//! 11. `process_data`: mapping of process data
+//! 11. `process_data`, `place`: mapping of process data; places of values in them
 //! 12. `supervisor`: bring-up, supervision and repair
 #![no_std]
 #![forbid(unsafe_code)]
@@ -43,6 +44,7 @@ pub mod mailbox;
 #[cfg(test)]
 mod no_drivers;
 mod observation;
+pub mod place;
 mod plan;
 pub mod port_state;
 pub mod process_data;
@@ -50,6 +52,7 @@ pub mod queue;
 #[cfg(test)]
 mod random;
 pub mod slave;
+pub mod slave_set;
 pub mod state;
 pub mod supervisor;
 mod telegram;

@@ -316,6 +316,11 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
     }
 
     /// Bytes of the frame, as they will be sent.
+    pub(super) fn bytes(&self, start: usize, length: usize) -> Option<&[u8]> {
+        self.frame.0.get(start..start + length)
+    }
+
+    /// Bytes of the frame that will be sent, to be written.
     pub(super) fn bytes_mut(&mut self, start: usize, length: usize) -> Option<&mut [u8]> {
         self.frame.0.get_mut(start..start + length)
     }
