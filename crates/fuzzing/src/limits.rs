@@ -72,7 +72,7 @@ pub fn read(path: &Path) -> io::Result<String> {
                 .map_err(|error| error.to_string())
         }
         "sii" => {
-            let kind = SlaveKind::parse(&format!("sii:{}", path.display()));
+            let kind = SlaveKind::from_file(path);
             kind.map(crate::segment::visit)
                 .map(|()| "a slave".to_owned())
                 .map_err(|error| error.to_string())

@@ -11,6 +11,8 @@ const ACKNOWLEDGE: u16 = 0x10;
 const STATE_MASK: u16 = 0x0F;
 const BOOTSTRAP: u16 = 3;
 const ERROR: u16 = 0x10;
+/// AL control: the master asks for the device's number. AL status: the status code is this number.
+const IDENTIFICATION: u16 = 0x20;
 
 /// AL status codes.
 pub(crate) mod code {
@@ -86,6 +88,9 @@ pub(crate) struct Application {
     error: bool,
     code: u16,
     waiting_ms: Option<u32>,
+    /// Number that the device tells when it is asked.
+    number: Option<u16>,
+    asked: bool,
 }
 
 impl Default for Application {
@@ -95,6 +100,8 @@ impl Default for Application {
             error: false,
             code: 0,
             waiting_ms: None,
+            number: None,
+            asked: false,
         }
     }
 }
@@ -105,14 +112,37 @@ impl Application {
         self.state
     }
 
+    /// The application of a device with this number on its switches.
+    pub(crate) fn with_number(number: Option<u16>) -> Self {
+        Self {
+            number,
+            ..Self::default()
+        }
+    }
+
     /// Content of the AL status register.
     pub(crate) fn status(&self) -> u16 {
-        self.state as u16 | if self.error { ERROR } else { 0 }
+        let identification = if self.identification().is_some() {
+            IDENTIFICATION
+        } else {
+            0
+        };
+        self.state as u16 | identification | if self.error { ERROR } else { 0 }
     }
 
     /// Content of the AL status code register.
+    pub(crate) fn code_register(&self) -> u16 {
+        self.identification().unwrap_or(self.code)
+    }
+
+    /// Code of the last refusal or fallback; 0 without one.
     pub(crate) fn code(&self) -> u16 {
         self.code
+    }
+
+    /// The number that the device tells at present: it is asked, and no error needs the register.
+    fn identification(&self) -> Option<u16> {
+        self.number.filter(|_| self.asked && !self.error)
     }
 
     /// Falls back to a lower state without a request, with a code.
@@ -169,6 +199,7 @@ impl Application {
         }
         self.error = false;
         self.code = 0;
+        self.asked = control & IDENTIFICATION != 0;
         let target = match AlState::from_number(control) {
             Some(target) => target,
             None if control & STATE_MASK == BOOTSTRAP => return self.refuse(code::NO_BOOTSTRAP),
@@ -266,6 +297,22 @@ mod tests {
         );
         assert_eq!(after(&[2, 8, 0x11], READY), (0x01, 0));
         assert_eq!(after(&[2, 8, 0x14], READY), (0x04, 0), "acknowledged, and a step up");
+    }
+
+    #[test]
+    fn a_device_with_switches_tells_their_number_while_it_is_asked_and_has_no_error() {
+        let seen = |number, requests: &[u16]| {
+            let mut application = Application::with_number(number);
+            for request in requests {
+                application.request(*request, READY);
+            }
+            (application.status(), application.code_register())
+        };
+        assert_eq!(seen(Some(7), &[2]), (0x02, 0));
+        assert_eq!(seen(Some(7), &[2, 0x22]), (0x22, 7));
+        assert_eq!(seen(Some(7), &[2, 0x22, 0x02]), (0x02, 0));
+        assert_eq!(seen(Some(7), &[2, 0x22, 0x28]), (0x12, code::INVALID_CHANGE));
+        assert_eq!(seen(None, &[2, 0x22]), (0x02, 0));
     }
 
     #[test]

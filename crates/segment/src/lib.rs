@@ -12,7 +12,7 @@
 //! 5. `devices`, `load`: what is behind a slave controller; what the motors turn
 //! 6. `faults`: the language of scripted faults
 //! 7. `slave`: one slave
-//! 8. `chain`: slaves, cables and frames
+//! 8. `chain`, `list`: slaves, cables and frames; chains as text
 //! 9. `segment`: the chain in virtual time, with its load
 #![forbid(unsafe_code)]
 
@@ -25,6 +25,7 @@ mod devices;
 mod drive;
 mod eeprom;
 mod faults;
+mod list;
 mod load;
 mod mailbox;
 mod oscillator;
@@ -38,14 +39,15 @@ pub mod transport;
 pub use application::AlState;
 pub use controller::silicon::ClockWidth;
 pub use devices::ax2000::NAME as AX2000_NAME;
-pub use devices::kind::{SLAVES_MAX, SlaveKind, SlaveListError, parse_slaves};
+pub use devices::kind::SlaveKind;
 pub use drive::resolver::{ResolverError, ResolverFault};
 pub use drive::velocity_loop::{LOOP_STEP_S, LOOP_STEPS, PiLoop, VelocityLoop};
 pub use drive::{DriveOptions, DriveState};
 pub use eeprom::SiiFault;
 pub use faults::kinds::{Fault, MailFault, MailStep, Product};
 pub use faults::{SCRIPT_HELP, Script, ScriptError, ScriptProblem};
+pub use list::{SLAVES_MAX, SlaveList, SlaveListError, parse_slaves};
 pub use load::{Flywheel, Load, STEP_S, Shaft};
 pub use oscillator::Oscillator;
 pub use segment::{CATCH_UP_MS_MAX, ClockOptions, MotorState, Segment, SegmentOptions, SlaveState};
-pub use slave::options::SlaveOptions;
+pub use slave::options::{PlaceOptions, SlaveOptions};

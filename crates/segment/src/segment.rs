@@ -22,7 +22,7 @@ use crate::load::Load;
 use crate::random::Random;
 use crate::rig::Bus;
 use crate::slave::Slave;
-use crate::slave::options::SlaveOptions;
+use crate::slave::options::{PlaceOptions, SlaveOptions};
 use std::collections::BTreeMap;
 
 /// Length of a step, microseconds.
@@ -56,6 +56,8 @@ const SII_BUSY_MAX_US: u64 = 10_000_000;
 pub struct SegmentOptions {
     /// The slaves in the order of the chain.
     pub slaves: Vec<SlaveKind>,
+    /// What is set on the slaves, in the order of the chain; slaves beyond them have the default options.
+    pub places: Vec<PlaceOptions>,
     /// The drives in the order of the chain; drives beyond them have the default options.
     pub drives: Vec<DriveOptions>,
     /// Distributed clocks and propagation times of the frames.
@@ -74,6 +76,7 @@ impl Default for SegmentOptions {
     fn default() -> Self {
         Self {
             slaves: Vec::new(),
+            places: Vec::new(),
             drives: Vec::new(),
             clocks: ClockOptions::default(),
             sii_busy_us: eeprom::BUSY_NS / 1000,
@@ -153,6 +156,7 @@ impl<L: Load> Segment<L> {
     pub fn new(options: &SegmentOptions, load: L) -> Self {
         let mut clocks = Random::new(options.seed ^ CLOCK_SEED);
         let mut drives = options.drives.iter();
+        let mut places = options.places.iter().copied();
         let slaves = (1..).zip(&options.slaves).map(|(serial, kind)| {
             let servo = kind.is_drive().then(|| {
                 let noise_seed = options.seed ^ (RESOLVER_SEED + u64::from(serial));
@@ -163,6 +167,7 @@ impl<L: Load> Segment<L> {
             });
             Slave::new(
                 kind.device(servo, serial),
+                places.next().unwrap_or_default(),
                 options.clocks.width,
                 nature(&mut clocks, options),
             )

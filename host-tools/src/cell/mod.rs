@@ -25,8 +25,8 @@ mod tuning;
 mod vibration;
 
 pub use etherpen_segment::{
-    AlState, ClockOptions, DriveState, Fault, MailFault, MailStep, Product, ResolverFault, SCRIPT_HELP, Script,
-    SiiFault, SlaveKind, SlaveListError, SlaveState, parse_slaves,
+    AlState, ClockOptions, DriveState, Fault, MailFault, MailStep, PlaceOptions, Product, ResolverFault, SCRIPT_HELP,
+    Script, SiiFault, SlaveKind, SlaveList, SlaveListError, SlaveState, parse_slaves,
 };
 pub use faults::read_faults;
 pub use paper::{InkStroke, PEN_SPRING_MM};
@@ -60,6 +60,8 @@ pub struct CellOptions {
     /// The slaves in the order of the chain; empty for an AX2000 for each configured drive. Drives belong to the
     /// configuration's axes in order; further drives move nothing.
     pub slaves: Vec<SlaveKind>,
+    /// What is set on each slave; slaves beyond them have the default options.
+    pub places: Vec<PlaceOptions>,
     /// Distributed clocks and the delays of the frames.
     pub clocks: ClockOptions,
     /// Busy time of a command to an information memory (SII), microseconds.
@@ -74,6 +76,7 @@ impl Default for CellOptions {
             start_offset_max_rad: 0.1,
             faults: Script::default(),
             slaves: Vec::new(),
+            places: Vec::new(),
             clocks: ClockOptions::default(),
             sii_busy_us: SegmentOptions::default().sii_busy_us,
         }
@@ -158,6 +161,7 @@ impl Cell {
         let machine = Machine::new(config, gears, &joints, &options.physics, &residues);
         let segment = SegmentOptions {
             slaves,
+            places: options.places,
             drives,
             clocks: options.clocks,
             sii_busy_us: options.sii_busy_us,

@@ -2,7 +2,7 @@
 
 use super::endpoint::SegmentArguments;
 use super::{CellArguments, ConfigArguments, ended_by_a_signal, print_json};
-use crate::cell::{Cell, CellOptions, SCRIPT_HELP, SlaveKind, SlaveListError, parse_slaves, read_faults};
+use crate::cell::{Cell, CellOptions, SCRIPT_HELP, SlaveKind, SlaveList, read_faults};
 use crate::error::{ProgramError, code};
 use crate::output_file::refuse_input;
 use crate::segment::{SegmentSummary, ServedSegment, capture};
@@ -20,8 +20,11 @@ pub struct Arguments {
     #[command(flatten)]
     segment: SegmentArguments,
     /// Slaves in the order of the chain: ax2000, cia402, ek1100, el1004, el1008, el2004, el2008, blank or sii:FILE, with
-    /// *N for N of a kind, for instance ax2000*4,ek1100,el2004. Default: an AX2000 for each configured drive.
-    #[arg(long, value_name = "LIST", value_parser = slave_list)]
+    /// *N for N of a kind, for instance ax2000*4,ek1100,el2004. Settings of a slave follow its kind: @alias=N,
+    /// @serial=N, @id=N (its switches), @clock=32 or 64, @boot=MS, @transition=MS, @mailbox=MS, @sii=needed (its
+    /// processor reads the information memory itself), for instance ax2000@alias=3@serial=7. Default: an AX2000 for each
+    /// configured drive.
+    #[arg(long, value_name = "LIST")]
     slaves: Option<SlaveList>,
     /// File with scripted faults, one per line; the long help (--help) describes the language.
     #[arg(long, value_name = "FILE")]
@@ -36,23 +39,6 @@ pub struct Arguments {
     cell: CellArguments,
     #[command(flatten)]
     config: ConfigArguments,
-}
-
-/// A chain of slaves.
-#[derive(Clone, Debug)]
-struct SlaveList {
-    slaves: Vec<SlaveKind>,
-    /// The files named in it.
-    files: Vec<PathBuf>,
-}
-
-fn slave_list(text: &str) -> Result<SlaveList, SlaveListError> {
-    let files = text.split(',').filter_map(|kind| kind.trim().strip_prefix("sii:"));
-    let without_count = |file: &str| PathBuf::from(file.rsplit_once('*').map_or(file, |(file, _)| file));
-    Ok(SlaveList {
-        slaves: parse_slaves(text)?,
-        files: files.map(without_count).collect(),
-    })
 }
 
 /// All files that the command reads.
@@ -72,15 +58,16 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         refuse_input(pcap, &inputs(arguments))?;
     }
     let config = arguments.config.load()?;
-    let slaves = match &arguments.slaves {
-        Some(list) => list.slaves.clone(),
-        None => vec![SlaveKind::Ax2000; usize::from(config.bus.drives)],
-    };
+    let SlaveList { slaves, places, .. } = arguments.slaves.clone().unwrap_or_else(|| SlaveList {
+        slaves: vec![SlaveKind::Ax2000; usize::from(config.bus.drives)],
+        ..SlaveList::default()
+    });
     let faults = read_faults(arguments.faults.as_deref(), slaves.len())?;
     let options = CellOptions {
         physics: arguments.cell.load()?,
         faults,
         slaves: slaves.clone(),
+        places,
         ..CellOptions::default()
     };
     let cell = Cell::new(&config, options);

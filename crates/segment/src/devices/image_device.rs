@@ -238,6 +238,10 @@ impl Device for ImageDevice {
         dictionary
     }
 
+    fn set_serial(&mut self, serial: u32) {
+        self.content.fixed.identity.serial = serial;
+    }
+
     fn io(&self) -> Option<&Io> {
         Some(&self.io)
     }

@@ -116,6 +116,8 @@ pub(crate) trait Device: LiveObjects + fmt::Debug + Send {
     fn servo_mut(&mut self) -> Option<&mut Servo> {
         None
     }
+    /// Gives the device another serial number than that of its kind.
+    fn set_serial(&mut self, _serial: u32) {}
     /// A copy of the device.
     fn boxed_clone(&self) -> Box<dyn Device>;
 }

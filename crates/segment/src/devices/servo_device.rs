@@ -152,6 +152,10 @@ impl Device for ServoDevice {
         dictionary
     }
 
+    fn set_serial(&mut self, serial: u32) {
+        self.serial = serial;
+    }
+
     fn power_up(&mut self) {
         self.servo.power_up();
     }

@@ -7,8 +7,8 @@ use crate::eeprom::windows::{SyncManagerDefault, Windows};
 use crate::mailbox::process_data::{Pdo, ProcessData};
 use etherpen_ethercat::wire::sii::{
     CATEGORY_END, CATEGORY_FMMU, CATEGORY_GENERAL, CATEGORY_RX_PDO, CATEGORY_STRINGS, CATEGORY_SYNC_MANAGER,
-    CATEGORY_SYNC_UNIT, CATEGORY_TX_PDO, Identity, PROTOCOL_COE, WORD_CATEGORIES, WORD_CHECKSUM, WORD_MAILBOX_IN,
-    WORD_MAILBOX_OUT, WORD_PROTOCOLS, WORD_SIZE, WORD_VENDOR, WORD_VERSION, checksum,
+    CATEGORY_SYNC_UNIT, CATEGORY_TX_PDO, Identity, PROTOCOL_COE, WORD_ALIAS, WORD_CATEGORIES, WORD_CHECKSUM,
+    WORD_MAILBOX_IN, WORD_MAILBOX_OUT, WORD_PROTOCOLS, WORD_SERIAL, WORD_SIZE, WORD_VENDOR, WORD_VERSION, checksum,
 };
 
 /// Size of the memory chip, bytes.
@@ -26,6 +26,9 @@ pub(crate) const DETAILS_MAPPABLE_PDO: u8 = 0x2F;
 pub(crate) const NOT_ASSIGNED: u8 = 0xFF;
 /// Word 0 of a slave with a processor: parallel interface, clock units powered.
 const CONFIGURATION_PROCESSOR: u16 = 0x0C08;
+/// Flags of the general category, and the one of an identification in the AL status (ETG.2010).
+const GENERAL_FLAGS: usize = 11;
+const GENERAL_IDENTIFIES: u8 = 0x08;
 /// Flags of a PDO: mandatory, and fixed content.
 const PDO_MANDATORY: u16 = 0x0001;
 const PDO_FIXED: u16 = 0x0010;
@@ -83,6 +86,54 @@ impl Description<'_> {
             pdos: process_data.pdos().iter().map(described).collect(),
             ..self
         }
+    }
+}
+
+/// What is set on one device and stored in its image.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(crate) struct Label {
+    pub(crate) alias: u16,
+    /// `None` leaves the image's serial number.
+    pub(crate) serial: Option<u32>,
+    /// Whether the device tells the number of its switches in the AL status.
+    pub(crate) identifies: bool,
+}
+
+impl Label {
+    /// Writes the label into an image, with the checksum of the configuration area if that was correct.
+    pub(crate) fn stick(self, image: &mut [u8]) {
+        let place = 2 * usize::from(WORD_CHECKSUM);
+        let valid = |image: &[u8]| image.get(place) == image.get(..place).map(checksum).as_ref();
+        if self.alias != 0 {
+            let was_valid = valid(image);
+            put(image, 2 * WORD_ALIAS, &self.alias.to_le_bytes());
+            if let (true, Some(sum)) = (was_valid, image.get(..place).map(checksum)) {
+                put(image, 2 * WORD_CHECKSUM, &[sum]);
+            }
+        }
+        if let Some(serial) = self.serial {
+            put(image, 2 * WORD_SERIAL, &serial.to_le_bytes());
+        }
+        let flags = category_start(image, CATEGORY_GENERAL).filter(|_| self.identifies);
+        if let Some(flags) = flags.and_then(|at| image.get_mut(at + GENERAL_FLAGS)) {
+            *flags |= GENERAL_IDENTIFIES;
+        }
+    }
+}
+
+/// First byte of a category's body.
+fn category_start(image: &[u8], wanted: u16) -> Option<usize> {
+    let mut at = 2 * usize::from(WORD_CATEGORIES);
+    loop {
+        let [kind_low, kind_high, words_low, words_high] = *image.get(at..)?.first_chunk()?;
+        let kind = u16::from_le_bytes([kind_low, kind_high]);
+        if kind == wanted {
+            return Some(at + 4);
+        }
+        if kind == CATEGORY_END {
+            return None;
+        }
+        at += 4 + 2 * usize::from(u16::from_le_bytes([words_low, words_high]));
     }
 }
 

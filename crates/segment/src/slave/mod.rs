@@ -17,11 +17,12 @@ use crate::devices::{Device, ProcessManagers};
 use crate::drive::servo::Servo;
 use crate::drive::{Drive, DriveOptions};
 use crate::eeprom::SiiFault;
+use crate::eeprom::sii::Label;
 use crate::faults::kinds::{MailFault, MailStep, Product};
 use crate::mailbox::coe::MailboxServer;
 use crate::mailbox::dictionary::Dictionary;
 use crate::mailbox::process_data::ProcessData;
-use options::SlaveOptions;
+use options::{PlaceOptions, SlaveOptions};
 
 const MAILBOX_OUT_MANAGER: usize = 0;
 const MAILBOX_IN_MANAGER: usize = 1;
@@ -39,6 +40,7 @@ pub(crate) struct Slave {
     device: Box<dyn Device>,
     managers: ProcessManagers,
     options: SlaveOptions,
+    identification: Option<u16>,
     /// A request that the application works on, and the remaining time, ms.
     transition: Option<(u16, u64)>,
     /// Remaining time without power, ms; the motor brakes meanwhile.
@@ -58,21 +60,31 @@ pub(crate) struct Slave {
 }
 
 impl Slave {
-    /// A slave after power-up.
-    pub(crate) fn new(device: Box<dyn Device>, width: ClockWidth, nature: Nature) -> Self {
+    /// A slave after power-up, with a clock of this width unless its place has another.
+    pub(crate) fn new(mut device: Box<dyn Device>, place: PlaceOptions, width: ClockWidth, nature: Nature) -> Self {
         let mut silicon = device.silicon();
+        let width = place.clock.unwrap_or(width);
         if silicon.clock.has_system_time() {
             silicon.clock = width;
         }
+        place.serial.iter().for_each(|serial| device.set_serial(*serial));
+        let mut image = device.image();
+        let label = Label {
+            alias: place.alias,
+            serial: place.serial,
+            identifies: place.identification.is_some(),
+        };
+        label.stick(&mut image);
         let mut slave = Self {
-            controller: Controller::new(silicon, device.image(), nature),
-            application: Application::default(),
+            controller: Controller::new(silicon, image, nature),
+            application: Application::with_number(place.identification),
             mailbox: MailboxServer::default(),
             dictionary: device.dictionary(),
             process_data: device.process_data(),
             managers: device.process_managers(),
             device,
-            options: SlaveOptions::default(),
+            options: place.processor,
+            identification: place.identification,
             transition: None,
             unpowered_ms: 0,
             silent_ms: 0,
@@ -89,6 +101,7 @@ impl Slave {
         };
         slave.controller.set_al_status(AlState::Init as u16, 0);
         slave.activate_sync_managers();
+        slave.hang(slave.options.boot_ms);
         slave
     }
 
@@ -144,9 +157,11 @@ impl Slave {
         if servo.is_none() && kind.is_drive() {
             servo = Some(Servo::new(&DriveOptions::default(), 0));
         }
-        let options = self.options;
-        *self = Self::new(kind.device(servo, serial), self.width, self.nature);
-        self.set_options(options);
+        let place = PlaceOptions {
+            processor: self.options,
+            ..PlaceOptions::default()
+        };
+        *self = Self::new(kind.device(servo, serial), place, self.width, self.nature);
     }
 
     /// Refuses the next request for a state.
@@ -193,7 +208,7 @@ impl Slave {
     /// Switches the power off for some milliseconds.
     pub(crate) fn power_cycle(&mut self, off_ms: u64) {
         self.unpowered_ms = off_ms.max(1);
-        self.application = Application::default();
+        self.application = Application::with_number(self.identification);
         self.mailbox = MailboxServer::default();
         self.outputs_received = false;
         self.has_outputs = false;
@@ -336,7 +351,7 @@ impl Slave {
 
     fn show_state(&mut self) {
         self.controller
-            .set_al_status(self.application.status(), self.application.code());
+            .set_al_status(self.application.status(), self.application.code_register());
         self.activate_sync_managers();
     }
 }

@@ -1,4 +1,6 @@
-//! What one slave's processor is like.
+//! What is individual about one slave: its processor's manners, and what its owner has set on it.
+
+use crate::controller::silicon::ClockWidth;
 
 /// Properties of a slave's processor; they mean nothing for a slave that has none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -13,4 +15,21 @@ pub struct SlaveOptions {
     pub transition_ms: u64,
     /// How long the answer to a mailbox message takes, ms, in addition to the millisecond of its cycle.
     pub mailbox_ms: u64,
+}
+
+/// What is set on the slave at one place of the chain, and stays with that device.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PlaceOptions {
+    /// Configured alias: word 4 of the information memory, register 0x0012 after power-up.
+    pub alias: u16,
+    /// Serial number in the information memory and, with a mailbox, in object 0x1018:4. `None` for the kind's own:
+    /// drives count from 1 in the order of the chain, other kinds have 0, an image from a file has its own.
+    pub serial: Option<u32>,
+    /// Number set with the switches of the device. A master asks for it with bit 5 of AL control; bit 5 of AL status
+    /// then says that register 0x0134 is this number. `None` for a device without switches.
+    pub identification: Option<u16>,
+    /// Width of the clock; `None` for the segment's width. No effect on a kind without a clock.
+    pub clock: Option<ClockWidth>,
+    /// The processor.
+    pub processor: SlaveOptions,
 }

@@ -4,6 +4,7 @@ mod checks;
 mod devices;
 mod faults;
 mod frames;
+mod identity;
 mod replay;
 mod terminals;
 
