@@ -1,8 +1,10 @@
 //! The master against the virtual cell, in virtual time.
 
 mod bring_up;
+mod device_images;
 mod diagnosis;
 mod frame_faults;
+mod real_chain;
 mod rig;
 mod services;
 mod slave_faults;
