@@ -18,6 +18,9 @@ const PATIENCE: Duration = Duration::from_secs(300);
 /// Time between two looks at the chain.
 const LOOK: Duration = Duration::from_millis(20);
 
+/// Inputs of the EL1008 in the order in which they are set; the EL2004 has the lower four.
+const PATTERNS: [u8; 6] = [0x05, 0x0A, 0xF0, 0xFF, 0x08, 0x01];
+
 /// A chain of slaves, and how far its motor has turned.
 struct Chain {
     segment: Segment<Flywheel>,
@@ -65,6 +68,21 @@ impl emulator::Segment for Chain {
     }
 
     fn advance_to(&mut self, _: u64) {}
+}
+
+/// Sets the EL1008's inputs one after the other, and expects the EL2004's outputs to follow. Returns true when all have
+/// been tried.
+fn follows(chain: &mut Chain, tried: &mut usize) -> bool {
+    let Some(inputs) = PATTERNS.get(*tried) else {
+        return true;
+    };
+    chain.segment.set_inputs(1, &[*inputs]);
+    *tried += usize::from(chain.segment.outputs(2) == Some(vec![*inputs & 0x0F]));
+    false
+}
+
+fn terminals() -> Chain {
+    Chain::new(&[SlaveKind::Ek1100, SlaveKind::El1008, SlaveKind::El2004])
 }
 
 /// Runs an example on the emulated board until `done`, which gets the chain and whether the example has ended.
@@ -134,4 +152,23 @@ fn the_drive_example_turns_a_motor_on_this_computer() {
         ended
     });
     assert!(status.success(), "{status}");
+}
+
+#[test]
+fn the_terminals_example_passes_inputs_on_to_outputs_on_the_emulated_board() {
+    let mut tried = 0;
+    let end = on_the_board("terminals", terminals(), |chain, ended| {
+        assert!(!ended, "the example goes on for ever");
+        follows(chain, &mut tried)
+    });
+    assert!(end.is_ok(), "{end:?}");
+}
+
+#[test]
+fn the_terminals_example_passes_inputs_on_to_outputs_on_this_computer() {
+    let mut tried = 0;
+    on_this_computer("terminals", terminals(), |chain, ended| {
+        assert!(!ended, "the example goes on for ever");
+        follows(chain, &mut tried)
+    });
 }

@@ -11,7 +11,7 @@
 //! 4. `mailbox`, `state`: mailboxes; states of slaves
 //! 5. `coe`, `diagnostics`: objects; requests of an application
 //! 6. `configure`, `topology`: discovery of slaves and their objects; how slaves are connected
-//! 7. `driver`: the seam to kinds of slaves
+//! 7. `driver`, `no_drivers`: the seam to kinds of slaves
 //! 8. `plan`, `slave`, `encapsulation`: contents of a cycle; what is known of a slave; UDP
 //! 9. `telegram`, `clock`: frames of a cycle; distributed clocks
 //! 10. `event`, `cyclic`: events and commands; the cyclic exchange
@@ -41,8 +41,7 @@ pub mod event;
 mod exchange_tests;
 pub mod frame_port;
 pub mod mailbox;
-#[cfg(test)]
-mod no_drivers;
+pub mod no_drivers;
 mod observation;
 pub mod place;
 mod plan;

@@ -1,13 +1,18 @@
-//! An application without drivers, for tests of what needs none.
+//! An application without drivers: its slaves take part with their own process data only.
+//!
+//! Enough for terminals, and for any slave that needs no object written in PREOP, see
+//! [`BusSetup::terminals`](super::event::BusSetup::terminals).
+//!
+//! Invariant: no slave becomes a member.
 
 use crate::configure::PreOperational;
 use crate::driver::{DeviceDescription, ProcessData, SlaveFactory};
 use crate::error::BusError;
 use crate::wire::sii::Identity;
 
-/// Knows no device; a role is a number.
+/// Knows no device.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(crate) struct NoDrivers;
+pub struct NoDrivers;
 
 impl SlaveFactory for NoDrivers {
     type Device = ();

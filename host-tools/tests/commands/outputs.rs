@@ -260,6 +260,72 @@ fn a_full_disk_and_a_kill_at_a_write_leave_the_last_good_output() {
     );
 }
 
+/// The program in a namespace in which the folder `to` cannot be written.
+fn read_only(folder: &Folder, words: &[&str]) -> Command {
+    let program = etherpen(folder);
+    let script = "mount --bind to to && mount -o remount,ro,bind to && exec \"$@\"";
+    let mut command = Command::new("unshare");
+    command.args(["-rm", "/bin/sh", "-c", script, "sh"]);
+    command.arg(program.get_program()).args(words);
+    command.current_dir(folder.join("."));
+    command
+}
+
+#[test]
+fn a_read_only_disk_is_told_and_what_was_good_stays_good() {
+    let folder = Folder::new();
+    folder.file("lines.svg", LINES);
+    photograph(&folder);
+    recording(&folder);
+    fs::create_dir(folder.join("to")).expect("a folder");
+    let input = strokes().to_string_lossy().into_owned();
+    let mut probe = read_only(&folder, &[]);
+    if !probe.args(["--version"]).status().is_ok_and(|status| status.success()) {
+        println!("left out: this computer gives a user no namespace with mounts of its own");
+        return;
+    }
+    let commands: [(&str, &[&str]); 8] = [
+        ("ordered.svg", &["order", "lines.svg", "-o", "to/ordered.svg"]),
+        ("shown.png", &["preview", "lines.svg", "-o", "to/shown.png"]),
+        ("lines.svg", &["vectorize", "photo.png", "-o", "to/lines.svg"]),
+        ("run.csv", &["export", "run.mcap", "--csv", "to/run.csv"]),
+        ("run.parquet", &["export", "run.mcap", "--parquet", "to/run.parquet"]),
+        ("plan.csv", &["plan", &input, "--samples", "to/plan.csv"]),
+        (
+            "run.mcap",
+            &["record", "--duration", "1", "--simulate", &input, "-o", "to/run.mcap"],
+        ),
+        ("report.json", &["simulate", &input, "--out", "to"]),
+    ];
+    for (output, words) in commands {
+        for there in [false, true] {
+            let path = folder.join("to").join(output);
+            if there {
+                fs::write(&path, "the last good output").expect("an output");
+            }
+            let before = names(&folder.join("to"));
+            let (status, _, stderr) = run(&mut read_only(&folder, words));
+            assert!(
+                status.is_some_and(|status| status > 0 && status < 100),
+                "{words:?}: {status:?} {stderr}"
+            );
+            assert!(stderr.contains("Read-only file system"), "{words:?}: {stderr}");
+            assert!(
+                stderr.contains("to/") || stderr.contains(" to"),
+                "{words:?} names what cannot be written: {stderr}"
+            );
+            assert_eq!(names(&folder.join("to")), before, "{words:?}");
+            if there {
+                assert_eq!(
+                    fs::read(&path).expect("an output"),
+                    b"the last good output",
+                    "{words:?}"
+                );
+            }
+        }
+    }
+}
+
 #[test]
 fn a_folder_of_results_stays_that_of_the_last_run_when_the_disk_is_full() {
     let folder = Folder::new();
