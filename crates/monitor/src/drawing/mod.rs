@@ -42,19 +42,28 @@ pub(crate) struct Place {
     pub(crate) draws: bool,
 }
 
+/// A drawing that was ordered and is not answered.
+#[derive(Clone, Debug)]
+struct Asked {
+    job: u16,
+    /// Orders of this number that are not answered.
+    orders: u32,
+    /// Where the tool was when it was ordered first, mm.
+    at: Option<Vector>,
+    /// Its vertices so far: place in the path, position in mm, whether the pen is down.
+    path: Vec<(u32, Vector, bool)>,
+}
+
 /// The present drawing, and single orders.
 #[derive(Clone, Debug)]
 pub(crate) struct Drawing {
     job: Option<u16>,
-    /// The job that was ordered and is not answered, where the tool was then, and its vertices: place in the path,
-    /// position, whether the pen is down.
-    next: Option<u16>,
-    /// The job that was ordered before it and is not answered either.
-    replaced: Option<u16>,
+    /// The drawing that was ordered last and is not answered.
+    next: Option<Asked>,
+    /// The drawing that was ordered before it and is not answered either.
+    replaced: Option<Asked>,
     /// The drawing whose answer was lost, and where its path ends so far.
     unanswered: Option<(u16, Option<Vector>)>,
-    ordered_at: Option<Vector>,
-    waiting: Vec<(u32, Vector, bool)>,
     end: Option<Vector>,
     legs: Vec<Leg>,
     grid: Grid,
@@ -82,8 +91,6 @@ impl Drawing {
             next: None,
             replaced: None,
             unanswered: None,
-            ordered_at: None,
-            waiting: Vec::new(),
             end: None,
             legs: Vec::new(),
             grid: Grid::new(CELL_MM),
@@ -104,11 +111,7 @@ impl Drawing {
     /// Takes an input; `tool` is where the tool is.
     pub(crate) fn take(&mut self, cell: &Cell, bounds: &Bounds, tool: Option<Vector>, input: &Input) {
         match *input {
-            Input::Commanded(Command::Draw { job }) => {
-                self.replaced = self.next.replace(job);
-                self.ordered_at = tool;
-                self.waiting.clear();
-            }
+            Input::Commanded(Command::Draw { job }) => self.ask(job, tool),
             Input::Commanded(command @ Command::Move { position_mm }) => {
                 self.order_single(cell, command, tool, position_mm, bounds);
             }
@@ -125,8 +128,10 @@ impl Drawing {
                 position_mm,
                 pen_down,
             } => {
-                if self.next == Some(job) {
-                    self.waiting.push((index, position_mm, pen_down));
+                let asked = [&mut self.next, &mut self.replaced];
+                let asked = asked.into_iter().flatten().find(|asked| asked.job == job);
+                if let Some(asked) = asked {
+                    asked.path.push((index, position_mm, pen_down));
                 } else if self.unanswered.is_some_and(|(unanswered, _)| unanswered == job) {
                     self.append_unanswered(position_mm, pen_down, bounds);
                 } else if self.job == Some(job) {
@@ -135,27 +140,40 @@ impl Drawing {
             }
             Input::Restarted => {
                 (self.job, self.next, self.replaced, self.unanswered) = (None, None, None, None);
-                self.waiting.clear();
             }
             _ => {}
         }
     }
 
+    /// A drawing is ordered. An order that repeats the number of the last one brings no path of its own.
+    fn ask(&mut self, job: u16, tool: Option<Vector>) {
+        if let Some(asked) = self.next.as_mut().filter(|asked| asked.job == job) {
+            asked.orders = asked.orders.saturating_add(1);
+            return;
+        }
+        self.replaced = self.next.replace(Asked {
+            job,
+            orders: 1,
+            at: tool,
+            path: Vec::new(),
+        });
+    }
+
     /// Takes a report.
     pub(crate) fn hear(&mut self, cell: &Cell, bounds: &Bounds, report: &Report) {
         match *report {
-            Report::Accepted(Command::Draw { job }) if self.next == Some(job) => self.begin(cell, bounds),
-            Report::Accepted(Command::Draw { job }) if self.replaced == Some(job) => self.begin_as(job),
-            Report::Refused(Command::Draw { job }) if self.next == Some(job) => {
-                self.next = None;
-                let waiting = std::mem::take(&mut self.waiting);
-                if self.job == Some(job) {
-                    // The drawing of that number was begun by an earlier order: the path is its own.
-                    for (index, position_mm, pen_down) in waiting {
-                        self.go_on(cell, bounds, index, position_mm, pen_down);
-                    }
+            Report::Accepted(Command::Draw { job }) => {
+                let asked = if is_of(&self.next, job) {
+                    self.replaced = None;
+                    self.next.take()
+                } else {
+                    self.replaced.take_if(|asked| asked.job == job)
+                };
+                if let Some(asked) = asked {
+                    self.begin(cell, bounds, asked);
                 }
             }
+            Report::Refused(Command::Draw { job }) => self.refused(cell, bounds, job),
             Report::Refused(command @ (Command::Move { .. } | Command::Pen { .. })) => {
                 let refused = self
                     .singles
@@ -171,21 +189,47 @@ impl Drawing {
         }
     }
 
+    /// An order to draw was refused.
+    fn refused(&mut self, cell: &Cell, bounds: &Bounds, job: u16) {
+        if !is_of(&self.next, job) {
+            self.replaced.take_if(|asked| asked.job == job);
+            return;
+        }
+        let Some(asked) = self.next.as_mut() else { return };
+        asked.orders -= 1;
+        let Some(asked) = self.next.take_if(|asked| asked.orders == 0) else {
+            return;
+        };
+        if self.job == Some(job) {
+            // The drawing of that number was begun by an earlier order: the path is its own.
+            for (index, position_mm, pen_down) in asked.path {
+                self.go_on(cell, bounds, index, position_mm, pen_down);
+            }
+        }
+    }
+
     /// The drawing that was ordered last is not waited for any more: it was refused, or the robot stands or stops.
     pub(crate) fn forget_asked(&mut self) {
         (self.next, self.replaced) = (None, None);
-        self.waiting.clear();
     }
 
-    /// The answer to the drawing that was ordered last was lost. The robot may draw it or the one before: both are
-    /// right, and neither has to be complete.
+    /// The answers to the drawings that were ordered last were lost. The robot may draw them or the one before: all are
+    /// right, and none has to be complete.
     pub(crate) fn begin_unanswered(&mut self, bounds: &Bounds) {
-        let Some(job) = self.next.take() else { return };
-        self.unanswered = Some((job, self.ordered_at));
-        self.was_disturbed = true;
-        for (_, position_mm, pen_down) in std::mem::take(&mut self.waiting) {
-            self.append_unanswered(position_mm, pen_down, bounds);
+        for asked in [self.replaced.take(), self.next.take()].into_iter().flatten() {
+            self.unanswered = Some((asked.job, asked.at));
+            self.was_disturbed = true;
+            for (_, position_mm, pen_down) in asked.path {
+                self.append_unanswered(position_mm, pen_down, bounds);
+            }
         }
+    }
+
+    /// Whether the robot does what was ordered before a drawing whose answer was lost: a single motion.
+    pub(crate) fn may_be_refused_at(&self, bounds: &Bounds, tool: &Vector, more_mm: f64) -> bool {
+        let tolerance_mm = bounds.travel_mm + more_mm;
+        let is_near = |leg: &Leg| leg.distance_squared(tool) <= tolerance_mm * tolerance_mm;
+        self.unanswered.is_some() && self.singles.iter().flatten().any(|(_, leg)| is_near(leg))
     }
 
     /// The path of the drawing whose answer was lost goes on to a vertex.
@@ -197,25 +241,19 @@ impl Drawing {
         self.end = present;
     }
 
-    /// The drawing that was ordered last was accepted and begins.
-    pub(crate) fn begin(&mut self, cell: &Cell, bounds: &Bounds) {
-        let Some(job) = self.next.take() else { return };
-        self.begin_as(job);
-        for (index, position_mm, pen_down) in std::mem::take(&mut self.waiting) {
-            self.go_on(cell, bounds, index, position_mm, pen_down);
-        }
-    }
-
-    /// A drawing of this number begins, without a path so far.
-    fn begin_as(&mut self, job: u16) {
-        (self.job, self.unanswered, self.replaced) = (Some(job), None, None);
-        self.end = self.ordered_at;
+    /// A drawing was accepted and begins.
+    fn begin(&mut self, cell: &Cell, bounds: &Bounds, asked: Asked) {
+        (self.job, self.unanswered) = (Some(asked.job), None);
+        self.end = asked.at;
         self.legs.clear();
         self.grid.clear();
         self.long.clear();
         self.ink.clear();
         (self.vertices, self.limit, self.cursor) = (0, u32::MAX, 0);
         (self.is_too_much, self.was_disturbed, self.is_told) = (false, false, false);
+        for (index, position_mm, pen_down) in asked.path {
+            self.go_on(cell, bounds, index, position_mm, pen_down);
+        }
     }
 
     /// The path goes on to a vertex; one that repeats an earlier one is ignored.
@@ -396,6 +434,11 @@ impl Drawing {
         }
         first.filter(|_| f64::from(missing) > part_max * f64::from(places))
     }
+}
+
+/// Whether an order of this number waits for its answer.
+fn is_of(asked: &Option<Asked>, job: u16) -> bool {
+    asked.as_ref().is_some_and(|asked| asked.job == job)
 }
 
 #[cfg(test)]

@@ -17,7 +17,7 @@ fn drawing(points: &[([f64; 2], bool)]) -> (Cell, Bounds, Drawing) {
         };
         drawing.take(&cell, &bounds, None, &vertex);
     }
-    drawing.begin(&cell, &bounds);
+    drawing.hear(&cell, &bounds, &Report::Accepted(Command::Draw { job: 1 }));
     (cell, bounds, drawing)
 }
 
@@ -54,12 +54,8 @@ fn of_two_orders_at_once_the_path_of_the_accepted_one_counts() {
             drawing.hear(&cell, &bounds, &report);
         }
         let touches = |x| drawing.may_touch(&bounds, &[x, 0.0, -850.0], 0.0);
-        match (first, second, accepted) {
-            (7, 7, _) => assert!(touches(30.0)),
-            (_, _, 8) => assert!(touches(10.0) && !touches(30.0)),
-            // The path came while the other order was waited for: nothing is known of it.
-            _ => assert!(!touches(10.0)),
-        }
+        assert!(touches(10.0));
+        assert_eq!(touches(30.0), accepted == 7, "{first}, {second}: {accepted}");
         assert_eq!(drawing.job, Some(accepted));
     }
 }
@@ -152,6 +148,38 @@ fn ink_is_missing_where_there_is_none() {
 }
 
 #[test]
+fn a_second_order_before_the_answer_to_the_first_leaves_the_first_its_path() {
+    let (cell, bounds) = (Cell::default(), Bounds::new(&Cell::default()));
+    let draw = |job| Command::Draw { job };
+    let vertex = |index, x| Input::PathVertex {
+        job: 7,
+        index,
+        position_mm: [x, 0.0, -850.0],
+        pen_down: index > 0,
+    };
+    // The second order repeats the number, or has its own; answers come in the order of the orders.
+    for second in [7, 8] {
+        let mut drawing = Drawing::new();
+        for input in [
+            Input::Commanded(draw(7)),
+            vertex(0, 0.0),
+            vertex(1, 20.0),
+            Input::Commanded(draw(second)),
+            vertex(2, 40.0),
+        ] {
+            drawing.take(&cell, &bounds, Some([0.0, 0.0, -850.0]), &input);
+        }
+        drawing.hear(&cell, &bounds, &Report::Accepted(draw(7)));
+        drawing.hear(&cell, &bounds, &Report::Refused(draw(second)));
+        drawing.take(&cell, &bounds, None, &vertex(3, 60.0));
+        for x in [10.0, 30.0, 50.0] {
+            assert!(drawing.may_touch(&bounds, &[x, 0.0, -850.0], 0.0), "{second}: {x}");
+        }
+        assert!(!drawing.may_touch(&bounds, &[70.0, 0.0, -850.0], 0.0), "{second}");
+    }
+}
+
+#[test]
 fn a_drawing_that_begins_on_the_paper_begins_with_a_lift() {
     let (cell, bounds) = (Cell::default(), Bounds::new(&Cell::default()));
     let mut drawing = Drawing::new();
@@ -164,7 +192,7 @@ fn a_drawing_that_begins_on_the_paper_begins_with_a_lift() {
         pen_down: false,
     };
     drawing.take(&cell, &bounds, pressed, &first);
-    drawing.begin(&cell, &bounds);
+    drawing.hear(&cell, &bounds, &Report::Accepted(Command::Draw { job: 1 }));
     for on_way in [[10.0, 0.0, -851.0], [10.0, 0.0, -847.0], [40.0, 0.0, -847.0]] {
         assert!(drawing.locate(&cell, &bounds, &on_way, 0.0).is_on_path, "{on_way:?}");
     }

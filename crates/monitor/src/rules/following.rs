@@ -3,7 +3,8 @@
 //! The setpoints stay within the tolerance of the polyline of legs, and the tool within the following error of them:
 //! 0.3 mm (`Cell::following_mm`), and half the acceleration times the square of a lag of 4 ms. Between parts of a
 //! drawing the pen is lifted and lowered straight above the path. A disturbance widens the bound as it does for the
-//! pen. A robot that stands without power follows nothing.
+//! pen. A robot that stands without power follows nothing. A drawing whose answer was lost may have been refused: then
+//! an earlier move may go on.
 
 use crate::scene::{Finding, Scene};
 use crate::violation::Rule;
@@ -19,7 +20,11 @@ impl Following {
         };
         // A robot that stands without power was stopped, and the report of it may be lost.
         let stands_off = !scene.motion.moves && !scene.motion.has_power.contains(&true);
-        if place.is_on_path || stands_off {
+        let may_be_refused = scene
+            .motion
+            .tool
+            .is_some_and(|tool| scene.drawing.may_be_refused_at(scene.bounds, &tool, more_mm));
+        if place.is_on_path || stands_off || may_be_refused {
             return Ok(());
         }
         let bound = scene.bounds.travel_mm + more_mm;
@@ -35,7 +40,7 @@ impl Following {
 
 #[cfg(test)]
 mod tests {
-    use crate::moment::Input;
+    use crate::moment::{Command, Input};
     use crate::rig::{Rig, broken};
     use crate::violation::Rule;
 
@@ -45,6 +50,33 @@ mod tests {
         assert_eq!(rig.go_to([20.0, 0.3, -850.0], 100), Ok(()));
         assert_eq!(rig.go_to([20.0, 0.3, -847.0], 50), Ok(()));
         assert_eq!(rig.go_to([20.0, 0.0, -850.0], 50), Ok(()));
+    }
+
+    #[test]
+    fn after_a_lost_answer_a_move_may_go_on_and_nothing_else() {
+        for target in [[0.0, 80.0, -800.0], [0.0, 160.0, -800.0]] {
+            let mut rig = Rig::idle_at([0.0, 0.0, -800.0]);
+            rig.command(Command::Move {
+                position_mm: [0.0, 100.0, -800.0],
+            });
+            assert_eq!(rig.go_to([0.0, 20.0, -800.0], 200), Ok(()));
+            rig.input(Input::Commanded(Command::Draw { job: 9 }));
+            for (index, x) in (0..).zip([100.0, 140.0]) {
+                rig.input(Input::PathVertex {
+                    job: 9,
+                    index,
+                    position_mm: [x, 0.0, -847.0],
+                    pen_down: false,
+                });
+            }
+            assert_eq!(rig.run(1_200), Ok(()), "the answer was lost");
+            let found = rig.go_to(target, 800);
+            assert_eq!(
+                broken(&found, Rule::Following),
+                target[1] > 100.0,
+                "{target:?}: {found:?}"
+            );
+        }
     }
 
     #[test]
