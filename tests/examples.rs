@@ -9,7 +9,7 @@ use host_tools::emulator::{self, EmulatorError};
 use host_tools::setup;
 use std::f64::consts::TAU;
 use std::path::Path;
-use std::process::{Command, ExitStatus};
+use std::process::{Child, Command, ExitStatus};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -104,6 +104,23 @@ fn on_the_board(
     running.stop()
 }
 
+/// A program that ends with this value, also when a test fails.
+struct Running(Child);
+
+impl Running {
+    /// Ends it. One that has ended already keeps its status.
+    fn end(&mut self) -> std::io::Result<ExitStatus> {
+        let _ = self.0.kill();
+        self.0.wait()
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.end();
+    }
+}
+
 /// Runs an example on this computer until `done`, which gets the chain and whether the example has ended.
 fn on_this_computer(example: &str, mut chain: Chain, mut done: impl FnMut(&mut Chain, bool) -> bool) -> ExitStatus {
     let program = setup::build_host_example(example).expect("the example builds");
@@ -112,7 +129,7 @@ fn on_this_computer(example: &str, mut chain: Chain, mut done: impl FnMut(&mut C
     let path = folder.join("bus");
     let mut port = listen(&Endpoint::Unix(path.clone())).expect("a socket");
     let place = format!("unix:{}", path.display());
-    let mut running = Command::new(program).arg(place).spawn().expect("it starts");
+    let mut running = Running(Command::new(program).arg(place).spawn().expect("it starts"));
     let (started, mut status) = (Instant::now(), None);
     while !done(&mut chain, status.is_some()) {
         assert!(started.elapsed() < PATIENCE, "the example goes on");
@@ -121,12 +138,10 @@ fn on_this_computer(example: &str, mut chain: Chain, mut done: impl FnMut(&mut C
                 port.send(master, &reply).expect("the socket");
             }
         }
-        status = running.try_wait().expect("a child");
+        status = running.0.try_wait().expect("a child");
     }
-    // One that goes on for ever has to be ended.
-    let _ = running.kill();
     std::fs::remove_dir_all(&folder).expect("the folder just made");
-    running.wait().expect("a child")
+    running.end().expect("a child")
 }
 
 #[test]
