@@ -140,7 +140,8 @@ impl EthercrabMaster {
     }
 
     fn split<M: Meter>(&mut self) {
-        let data = self.case.data;
+        let case = self.case;
+        let data = case.data;
         let mut inputs = [0; DRIVES * 32];
         let mut outputs = [0; DRIVES * 32];
         let (inputs_length, outputs_length) = (DRIVES as u16 * data.inputs, DRIVES as u16 * data.outputs);
@@ -149,7 +150,7 @@ impl EthercrabMaster {
                 .wrap()
                 .with_wkc(DRIVES as u16)
                 .receive_slice(&self.device, inputs_length),
-            |frame| answer(frame, data),
+            |frame| answer(frame, case),
         );
         M::count(|| {
             let Ok(image) = image else { panic!("no inputs") };
@@ -169,7 +170,7 @@ impl EthercrabMaster {
             Command::lwr(u32::from(inputs_length))
                 .with_wkc(DRIVES as u16)
                 .send(&self.device, outputs),
-            |frame| answer(frame, data),
+            |frame| answer(frame, case),
         );
         assert!(sent.is_ok(), "no outputs");
     }
@@ -177,19 +178,19 @@ impl EthercrabMaster {
 
 impl Master for EthercrabMaster {
     fn cycle<M: Meter>(&mut self) {
-        let data = self.case.data;
-        let counter = match self.case.exchange {
+        let case = self.case;
+        let counter = match case.exchange {
             Exchange::Split => return self.split::<M>(),
             Exchange::Combined => {
                 M::count(|| self.write());
                 let exchange = self.group.tx_rx(&self.device);
-                let result = self.port.run::<M, _>(exchange, |frame| answer(frame, data));
+                let result = self.port.run::<M, _>(exchange, |frame| answer(frame, case));
                 result.map(|response| (response.working_counter, response.all_op()))
             }
             Exchange::CombinedWithClock => {
                 M::count(|| self.write());
                 let exchange = self.group.tx_rx_sync_system_time(&self.device);
-                let result = self.port.run::<M, _>(exchange, |frame| answer(frame, data));
+                let result = self.port.run::<M, _>(exchange, |frame| answer(frame, case));
                 result.map(|response| (response.working_counter, response.all_op()))
             }
         };

@@ -1,29 +1,67 @@
 //! The master of this project.
 
 use crate::segment::answer;
-use crate::{Case, DRIVES, Exchange, Master, Meter, read_drive, write_drive};
+use crate::{Case, Exchange, Master, Meter, read_drive, write_drive};
 use core::future::Future;
 use core::hint::black_box;
 use core::pin::pin;
 use core::task::{Context, Waker};
-use etherpen::robot_bus::MASTER_ADDRESS;
-use etherpen::ethercat::cyclic::{Arrival, CyclicPlan, CyclicSlave, ExchangeKind, ReferenceClock};
+use etherpen::ethercat::cyclic::{
+    Arrival, CyclicPlan, CyclicSlave, ExchangeKind, InputPlace, OutputPlace, ReferenceClock,
+};
 use etherpen::ethercat::event::{BusCommand, BusSetup};
 use etherpen::ethercat::wire::FRAME_LEN_MAX;
+use etherpen::robot_bus::MASTER_ADDRESS;
 use etherpen::robot_bus::{RobotBusQueues, RobotExchange, RobotSupervisor};
 
 /// Station address of the first drive, whose clock the others follow.
 const STATION: u16 = 0x1001;
 
 /// The master with its drives in OP: the critical side with the plan that the supervisor would have sent.
-pub struct EtherpenMaster<'q> {
-    exchange: RobotExchange<'q>,
+pub struct EtherpenMaster<'q, const DRIVES: usize> {
+    drives: Drives<'q, DRIVES>,
     frame: [u8; FRAME_LEN_MAX],
     case: Case,
+}
+
+/// The exchange, and where it has the values of the drives.
+struct Drives<'q, const DRIVES: usize> {
+    exchange: RobotExchange<'q>,
+    places: [(InputPlace, OutputPlace); DRIVES],
+    /// Number of the plan for which the places are valid.
+    plan: Option<u32>,
     cycles: i32,
 }
 
-impl<'q> EtherpenMaster<'q> {
+impl<const DRIVES: usize> Drives<'_, DRIVES> {
+    /// Takes the places of a new plan, as the robot's group of drives does in each cycle.
+    fn renew(&mut self) {
+        let plan = Some(self.exchange.plan_number());
+        if self.plan != plan {
+            self.plan = plan;
+            let place = |drive| (self.exchange.input_place(drive), self.exchange.output_place(drive));
+            self.places = core::array::from_fn(place);
+        }
+    }
+
+    fn read(&mut self) -> bool {
+        self.renew();
+        let exchange = &self.exchange;
+        self.places.iter().fold(true, |complete, (place, _)| {
+            let input = exchange.image_at(*place).and_then(|image| read_drive(image));
+            black_box(input).is_some() & complete
+        })
+    }
+
+    fn write(&mut self) {
+        self.cycles = self.cycles.wrapping_add(1);
+        for (_, place) in &self.places {
+            write_drive(self.exchange.output_at(*place), self.cycles, 0x0F);
+        }
+    }
+}
+
+impl<'q, const DRIVES: usize> EtherpenMaster<'q, DRIVES> {
     /// A master over `queues`.
     ///
     /// # Panics
@@ -57,72 +95,60 @@ impl<'q> EtherpenMaster<'q> {
         }
         assert!(supervisor_end.plans.enqueue(plan).is_ok(), "no room for the plan");
         Self {
-            exchange: RobotExchange::new(exchange_end, MASTER_ADDRESS),
+            drives: Drives {
+                exchange: RobotExchange::new(exchange_end, MASTER_ADDRESS),
+                places: [(InputPlace::default(), OutputPlace::default()); DRIVES],
+                plan: None,
+                cycles: 0,
+            },
             frame: [0; FRAME_LEN_MAX],
             case,
-            cycles: 0,
         }
     }
 
-    fn receive(&mut self, length: usize) -> Arrival {
-        self.exchange
-            .receive(black_box(self.frame.get(..length).unwrap_or(&[])))
-    }
-
-    fn read(&self) -> bool {
-        (0..DRIVES).fold(true, |complete, drive| {
-            let input = self.exchange.input(drive).and_then(read_drive);
-            black_box(input).is_some() & complete
-        })
-    }
-
-    fn write(&mut self) {
-        self.cycles = self.cycles.wrapping_add(1);
-        for drive in 0..DRIVES {
-            write_drive(self.exchange.output(drive), self.cycles, 0x0F);
-        }
+    /// Receives the reply of this length and then does more with the drives, counted.
+    fn receive<M: Meter, R>(&mut self, length: usize, then: impl FnOnce(&mut Drives<'q, DRIVES>) -> R) -> (Arrival, R) {
+        let reply = self.frame.get(..length).unwrap_or(&[]);
+        M::count(|| (self.drives.exchange.receive(black_box(reply)), then(&mut self.drives)))
     }
 
     fn combined<M: Meter>(&mut self) {
-        M::count(|| self.write());
-        let sent = M::count(|| black_box(self.exchange.input_telegram()));
+        M::count(|| self.drives.write());
+        let sent = M::count(|| black_box(self.drives.exchange.input_telegram()));
         let length = reply(&mut self.frame, sent, self.case);
-        let (arrival, complete) = M::count(|| (self.receive(length), self.read()));
+        let (arrival, complete) = self.receive::<M, _>(length, Drives::read);
         assert!(arrival == Arrival::Input && complete, "no inputs");
     }
 
     fn split<M: Meter>(&mut self) {
-        let sent = M::count(|| black_box(self.exchange.input_telegram()));
+        let sent = M::count(|| black_box(self.drives.exchange.input_telegram()));
         let length = reply(&mut self.frame, sent, self.case);
-        let (arrival, complete) = M::count(|| {
-            let arrival = self.receive(length);
-            let complete = self.read();
-            self.write();
-            (arrival, complete)
+        let (arrival, complete) = self.receive::<M, _>(length, |drives| {
+            let complete = drives.read();
+            drives.write();
+            complete
         });
         assert!(arrival == Arrival::Input && complete, "no inputs");
-        let sent = M::count(|| black_box(self.exchange.output_telegram()));
+        let sent = M::count(|| black_box(self.drives.exchange.output_telegram()));
         let length = reply(&mut self.frame, sent, self.case);
-        let arrival = M::count(|| self.receive(length));
+        let (arrival, ()) = self.receive::<M, _>(length, |_| ());
         assert!(arrival == Arrival::Output, "no outputs");
     }
 }
 
-impl Master for EtherpenMaster<'_> {
+impl<const DRIVES: usize> Master for EtherpenMaster<'_, DRIVES> {
     fn cycle<M: Meter>(&mut self) {
         match self.case.exchange {
             Exchange::Split => self.split::<M>(),
             Exchange::Combined | Exchange::CombinedWithClock => self.combined::<M>(),
         }
+        let exchange = &self.drives.exchange;
         assert!(
-            self.exchange.counters().working_counter_errors == 0,
+            exchange.counters().working_counter_errors == 0,
             "wrong working counters"
         );
-        assert!(
-            self.exchange.al_status().is_some_and(|al| al.status == 8),
-            "no AL status"
-        );
-        let clock = self.exchange.clock_ns().is_some();
+        assert!(exchange.al_status().is_some_and(|al| al.status == 8), "no AL status");
+        let clock = exchange.clock_ns().is_some();
         assert!(
             clock == (self.case.exchange == Exchange::CombinedWithClock),
             "the clock's time"
@@ -142,7 +168,7 @@ pub fn serve(queues: &mut RobotBusQueues, mut wire: impl FnMut(&mut [u8])) -> ! 
     let mut context = Context::from_waker(Waker::noop());
     let mut frame = [0; FRAME_LEN_MAX];
     let start = BusCommand::Start(black_box(BusSetup {
-        members: DRIVES as u8,
+        members: crate::DRIVES as u8,
         ..BusSetup::default()
     }));
     assert!(application.commands.enqueue(start).is_ok(), "no room for the order");
@@ -150,7 +176,7 @@ pub fn serve(queues: &mut RobotBusQueues, mut wire: impl FnMut(&mut [u8])) -> ! 
         let telegram = copied(&mut frame, exchange.input_telegram());
         wire(telegram);
         exchange.receive(telegram);
-        for drive in 0..DRIVES {
+        for drive in 0..crate::DRIVES {
             let (position, status) = exchange.input(drive).and_then(read_drive).unwrap_or_default();
             write_drive(exchange.output(drive), position, status);
         }
@@ -164,7 +190,7 @@ pub fn serve(queues: &mut RobotBusQueues, mut wire: impl FnMut(&mut [u8])) -> ! 
 
 /// What the segment makes of a telegram; gives its length.
 fn reply(frame: &mut [u8], sent: &[u8], case: Case) -> usize {
-    answer(copied(frame, sent), case.data);
+    answer(copied(frame, sent), case);
     sent.len()
 }
 

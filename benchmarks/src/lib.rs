@@ -58,12 +58,26 @@ pub struct Case {
     pub exchange: Exchange,
     /// With how much data.
     pub data: ProcessData,
+    /// With how many drives.
+    pub drives: usize,
 }
 
 const fn case(name: &'static str, exchange: Exchange, outputs: u16, inputs: u16) -> Case {
     let data = ProcessData { outputs, inputs };
-    Case { name, exchange, data }
+    Case {
+        name,
+        exchange,
+        data,
+        drives: DRIVES,
+    }
 }
+
+/// The cycle with AL status and clock with 16 drives. Only this project's master: in the other one, the number of drives
+/// is part of the program.
+pub const SIXTEEN: Case = Case {
+    drives: 16,
+    ..case("cyclic/lrw+frmw+brd/16", Exchange::CombinedWithClock, 11, 11)
+};
 
 /// All measurements. Eleven bytes each way are a drive that takes position, velocity, torque limits and mode; the
 /// AX2000-B110 has six out and, with the current, eight in.

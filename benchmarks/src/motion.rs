@@ -308,6 +308,8 @@ fn place(trajectory: &mut Trajectory, config: &Config, vertices: &[Vertex]) {
     let first = vertices.first().map(|vertex| vertex.position).unwrap_or_default();
     let kinematics = Kinematics::new(&config.geometry).expect("the default robot");
     let [a, b, c] = kinematics.inverse(&first).expect("a place that can be reached");
-    trajectory.reconfigure(&config.motion_settings()).expect("the default robot");
+    trajectory
+        .reconfigure(&config.motion_settings())
+        .expect("the default robot");
     assert!(trajectory.place(JointAngles([a, b, c, 0.0])));
 }

@@ -3,7 +3,7 @@
 //! They exist so that a master can be brought to OP without a recording; a mailbox and process data they have not.
 //! [`answer`] is the segment once all are in OP: it only puts right working counters into a cyclic frame.
 
-use crate::{DRIVES, ProcessData};
+use crate::{Case, DRIVES, ProcessData};
 
 /// Where the datagrams of a frame begin.
 const FIRST_DATAGRAM: usize = 16;
@@ -39,12 +39,12 @@ mod command {
     pub(super) const FRMW: u8 = 14;
 }
 
-/// Puts the working counters of four drives in OP into a frame, and the AL status where it is asked for.
+/// Puts the working counters of a case's drives in OP into a frame, and the AL status where it is asked for.
 ///
 /// # Panics
 /// The frame is no chain of datagrams.
-pub fn answer(frame: &mut [u8], data: ProcessData) {
-    let drives = DRIVES as u16;
+pub fn answer(frame: &mut [u8], case: Case) {
+    let (drives, data) = (case.drives as u16, case.data);
     frame[6] |= 2;
     let mut at = FIRST_DATAGRAM;
     loop {

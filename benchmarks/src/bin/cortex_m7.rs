@@ -6,7 +6,7 @@ mod timer;
 
 use benchmarks::ethercrab_master::{self, EthercrabMaster, Storage};
 use benchmarks::etherpen_master::{self, EtherpenMaster};
-use benchmarks::{CASES, CYCLES, Case, Master, Meter, measure};
+use benchmarks::{CASES, CYCLES, Case, DRIVES, Master, Meter, SIXTEEN, measure};
 use core::sync::atomic::{AtomicI32, Ordering};
 use cortex_m_rt::entry;
 use cortex_m_semihosting::{debug, hprintln};
@@ -76,9 +76,11 @@ fn main() -> ! {
     hprintln!("ram_bytes ethercrab {}", ethercrab_master::ram_bytes());
     for (case, storage) in CASES.into_iter().zip(STORAGES) {
         let mut queues = RobotBusQueues::new();
-        report(case, "etherpen", EtherpenMaster::new(&mut queues, case));
+        report(case, "etherpen", EtherpenMaster::<DRIVES>::new(&mut queues, case));
         report(case, "ethercrab", EthercrabMaster::new(storage, case));
     }
+    let mut queues = RobotBusQueues::new();
+    report(SIXTEEN, "etherpen", EtherpenMaster::<16>::new(&mut queues, SIXTEEN));
     debug::exit(debug::EXIT_SUCCESS);
     panic!("the emulator goes on");
 }

@@ -6,14 +6,14 @@ use crate::factory::ServoDrives;
 use crate::io::{BusState, GroupDrive, IoGroup, IoTrigger};
 use crate::layout::ProcessLayout;
 use crate::{DriveInput, DriveOutput, DriveSettings};
-use etherpen_ethercat::cyclic::{Arrival, BusCounters, Exchange, ExchangeKind, OutputPlace};
+use etherpen_ethercat::cyclic::{Arrival, BusCounters, Exchange, ExchangeKind, InputPlace, OutputPlace};
 use etherpen_ethercat::encapsulation::Encapsulation;
 
 /// Where a member's values are.
 #[derive(Clone, Copy, Debug)]
 struct Place {
-    slave: usize,
     layout: ProcessLayout,
+    inputs: InputPlace,
     outputs: OutputPlace,
 }
 
@@ -56,8 +56,8 @@ where
             let role = share.and_then(|share| share.role);
             let whole = role.filter(|role| u16::from(role.layout.input_length) <= length);
             *place = slave.zip(whole).map(|(slave, role)| Place {
-                slave,
                 layout: role.layout,
+                inputs: self.exchange.input_place(slave),
                 outputs: self.exchange.output_place(slave),
             });
         }
@@ -93,7 +93,7 @@ where
     #[inline(always)]
     fn read(&self, member: usize) -> Option<DriveInput> {
         let place = self.places.get(member)?.as_ref()?;
-        place.layout.decode(self.exchange.image(place.slave)?)
+        place.layout.decode(self.exchange.image_at(place.inputs)?)
     }
 
     #[inline(always)]

@@ -12,13 +12,13 @@
 
 use super::acyclic::{IN_FLIGHT_MAX, Outcome, Reply, Request, bytes};
 use super::driver::{Role, SlaveFactory};
-use super::encapsulation::Encapsulation;
+use super::encapsulation::{Encapsulation, Opened};
 pub use super::observation::{AlStatus, Arrival, BusCounters, IGNORED_KINDS, Ignored, Observation};
 pub use super::plan::{
     CyclicPlan, CyclicSlave, ExchangeKind, PROCESS_BYTES_MAX, PlanError, ReferenceClock, SPAN_BYTES_MAX,
 };
 use super::queue;
-use super::telegram::{Image, SlotState, Taken, Telegram};
+use super::telegram::{Answers, Image, SlotState, Telegram};
 use super::wire::{MacAddress, read_u8};
 use heapless::spsc::{Consumer, Producer};
 
@@ -54,6 +54,14 @@ pub struct OutputPlace {
     length: u16,
 }
 
+/// Place of a slave's inputs among the inputs of a cycle, valid for the present plan.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct InputPlace {
+    image: u8,
+    /// The slave's bit; 0 if it has no inputs.
+    bit: u32,
+}
+
 /// The cyclic exchange; it lives in the critical task.
 pub struct Exchange<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> {
     end: ExchangeEnd<'a, F, SLAVES, MESSAGE>,
@@ -64,19 +72,24 @@ pub struct Exchange<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usi
     first: Telegram<SLAVES>,
     second: Telegram<SLAVES>,
     outputs: [OutputPlace; SLAVES],
+    inputs: [InputPlace; SLAVES],
     images: [Image; SLAVES],
-    input_valid: u32,
     /// Slaves that answer only the second telegram, one bit each.
     second_only: u32,
-    answered: u32,
-    al: Option<AlStatus>,
+    /// Slaves that have answered this cycle's first telegram, one bit each.
+    input_valid: u32,
+    /// Slaves that have answered this cycle's second telegram, one bit each.
+    output_valid: u32,
+    /// AL status in this cycle's first telegram, if that has been received.
+    al: AlStatus,
     clock_ns: Option<u64>,
     next_index: u8,
     /// Whether the next turn belongs to a message: the last acyclic datagram was a register request.
     message_is_next: bool,
-    source_bit_seen: bool,
+    /// [`SOURCE_BIT`](super::wire::SOURCE_BIT) once a slave controller has marked a reply.
+    mark_seen: u8,
     silent_cycles: u8,
-    reported: Option<Observation>,
+    reported: Observation,
     counters: BusCounters,
 }
 
@@ -93,17 +106,18 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
             first: Telegram::new(),
             second: Telegram::new(),
             outputs: [OutputPlace::default(); SLAVES],
+            inputs: [InputPlace::default(); SLAVES],
             images: [Image::default(); SLAVES],
-            input_valid: 0,
             second_only: 0,
-            answered: 0,
-            al: None,
+            input_valid: 0,
+            output_valid: 0,
+            al: AlStatus::default(),
             clock_ns: None,
             next_index: 0,
             message_is_next: false,
-            source_bit_seen: false,
+            mark_seen: 0,
             silent_cycles: 0,
-            reported: None,
+            reported: Observation::IMPOSSIBLE,
             counters: BusCounters::default(),
         };
         exchange.adopt(CyclicPlan::default());
@@ -115,7 +129,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
         if encapsulation != self.encapsulation {
             self.settle();
             self.encapsulation = encapsulation;
-            self.source_bit_seen = false;
+            self.mark_seen = 0;
             self.adopt(self.plan.clone());
         }
     }
@@ -169,19 +183,21 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
     #[inline]
     pub fn input(&self, slave: usize) -> Option<&[u8]> {
         let length = usize::from(self.plan.slaves.get(slave)?.input_length);
-        if length == 0 || self.input_valid >> slave & 1 == 0 {
-            return None;
-        }
-        self.images.get(slave)?.as_flattened().get(..length)
+        self.image_at(self.input_place(slave))?.get(..length)
     }
 
-    /// This cycle's inputs of a slave in a buffer of the longest length; bytes behind the slave's inputs have no
+    /// Place of the inputs of a slave (position in the chain), valid until the next plan.
+    pub fn input_place(&self, slave: usize) -> InputPlace {
+        self.inputs.get(slave).copied().unwrap_or_default()
+    }
+
+    /// This cycle's inputs at a place in a buffer of the longest length; bytes behind the slave's inputs have no
     /// meaning. `None` as for [`Self::input`].
     #[inline]
-    pub fn image(&self, slave: usize) -> Option<&[u8; PROCESS_BYTES_MAX]> {
-        let image = self.images.get(slave)?;
-        let valid = self.input_valid >> (slave & 31) & 1 != 0;
-        image.as_flattened().first_chunk().filter(|_| valid)
+    pub fn image_at(&self, place: InputPlace) -> Option<&[u8; PROCESS_BYTES_MAX]> {
+        // The remainder tells the compiler that the place exists.
+        let image = self.images.get(usize::from(place.image) % SLAVES)?;
+        (self.input_valid & place.bit != 0).then(|| image.bytes())
     }
 
     /// The outputs of a slave (position in the chain) that the next telegram will carry; empty if the slave has none.
@@ -220,9 +236,9 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
 
     /// This cycle's AL status of the slaves in use, and the number of all slaves that answered.
     pub fn al_status(&self) -> Option<AlStatus> {
-        self.al.map(|al| AlStatus {
-            status: al.status & !self.plan.al_bits_ignored,
-            slaves: al.slaves,
+        (self.first.state == SlotState::Received).then_some(AlStatus {
+            status: self.al.status & !self.plan.al_bits_ignored,
+            slaves: self.al.slaves,
         })
     }
 
@@ -264,13 +280,41 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
     }
 
     /// Ends a cycle: missing replies count as lost, and the supervisor is informed of changes.
+    #[inline(always)]
     fn settle(&mut self) {
+        let is_whole = self.first.state == SlotState::Received && self.second.state != SlotState::Sent;
+        if !is_whole || self.seen().differs(&self.reported) {
+            self.settle_changed();
+        } else {
+            self.silent_cycles = 0;
+        }
+        // The first telegram is sent next.
+        self.second.state = SlotState::Idle;
+        (self.input_valid, self.output_valid) = (0, 0);
+        self.clock_ns = None;
+    }
+
+    /// What this cycle's first telegram, if it was received, and its second one have shown.
+    #[inline(always)]
+    fn seen(&self) -> Observation {
+        Observation {
+            al: self.al,
+            answered: self.input_valid | self.output_valid & self.second_only,
+            silent: false,
+        }
+    }
+
+    /// Ends a cycle with lost replies, or one that differs from the last one.
+    #[cold]
+    #[inline(never)]
+    fn settle_changed(&mut self) {
         let mut lost = 0;
+        let is_received = self.first.state == SlotState::Received;
         if self.first.state == SlotState::Sent {
             lost += 1;
             self.silent_cycles = self.silent_cycles.saturating_add(1).min(SILENT_CYCLES);
             self.answer_lost();
-        } else if self.first.state == SlotState::Received {
+        } else if is_received {
             self.silent_cycles = 0;
         }
         if self.second.state == SlotState::Sent {
@@ -278,22 +322,14 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
         }
         self.counters.frames_lost = self.counters.frames_lost.saturating_add(lost);
         let silent = self.silent_cycles >= SILENT_CYCLES;
-        if self.al.is_some() || silent {
-            let seen = Observation {
-                al: self.al.unwrap_or_default(),
-                answered: if self.al.is_some() { self.answered } else { 0 },
-                silent,
-            };
-            if self.reported != Some(seen) && queue::put(&mut self.end.observations, seen).is_ok() {
-                self.reported = Some(seen);
-            }
+        let seen = match (is_received, silent) {
+            (true, _) => self.seen(),
+            (false, true) => Observation::SILENT,
+            (false, false) => return,
+        };
+        if self.reported != seen && queue::put(&mut self.end.observations, seen).is_ok() {
+            self.reported = seen;
         }
-        self.first.state = SlotState::Idle;
-        self.second.state = SlotState::Idle;
-        self.input_valid = 0;
-        self.answered = 0;
-        self.al = None;
-        self.clock_ns = None;
     }
 
     #[cold]
@@ -317,17 +353,26 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
         self.first.clear(&self.encapsulation, self.source);
         self.second.clear(&self.encapsulation, self.source);
         self.outputs = [OutputPlace::default(); SLAVES];
+        self.inputs = [InputPlace::default(); SLAVES];
         self.second_only = 0;
         let kind = plan.exchange;
-        for ((number, slave), place) in (0..).zip(&plan.slaves).zip(&mut self.outputs) {
+        let places = self.inputs.iter_mut().zip(&mut self.outputs);
+        for ((number, slave), (inputs, outputs)) in (0..).zip(&plan.slaves).zip(places) {
             let (first, second) = (slave.first_window(kind), slave.second_window(kind));
-            self.second_only |= u32::from(first.is_none() && second.is_some()) << (number & 31);
+            let bit = 1 << (number & 31);
+            self.second_only |= if first.is_none() && second.is_some() { bit } else { 0 };
             let windows = [(first, &mut self.first), (second, &mut self.second)];
             for (window, telegram) in windows {
                 let Some(window) = window else { continue };
-                let data = telegram.push_share(number, slave.watched, &window);
-                if let Some(data) = data.filter(|_| window.output_length > 0) {
-                    *place = OutputPlace {
+                let Some((share, data)) = telegram.push_share(number, slave.watched, &window) else {
+                    continue;
+                };
+                if window.input_length > 0 {
+                    let image = share as u8;
+                    *inputs = InputPlace { image, bit };
+                }
+                if window.output_length > 0 {
+                    *outputs = OutputPlace {
                         start: data as u16 + window.output_offset,
                         length: window.output_length,
                     };
@@ -419,41 +464,26 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
         taken && !fits_never
     }
 
+    #[inline]
     fn accept(&mut self, frame: &[u8]) -> Result<Arrival, Ignored> {
         let opened = self.encapsulation.open(frame, &self.source)?;
         let index = read_u8(opened.payload, 1);
-        let is_input = self.first.state != SlotState::Idle && self.first.index == index;
-        let is_output = self.second.state != SlotState::Idle && self.second.index == index;
-        let telegram = match (is_input, is_output) {
-            (true, _) => &mut self.first,
-            (false, true) => &mut self.second,
-            (false, false) => return Err(self.foreign_index(index)),
-        };
-        if telegram.state == SlotState::Received {
-            return Err(Ignored::Duplicate);
-        }
-        let taken = telegram.take(opened.payload, &mut self.images)?;
-        if !taken.touched && !opened.marked && (is_input || self.source_bit_seen) {
-            return Err(Ignored::Reflection);
-        }
-        telegram.state = SlotState::Received;
-        self.source_bit_seen |= opened.marked;
-        self.counters.working_counter_errors = self.counters.working_counter_errors.saturating_add(taken.errors);
-        if is_input {
-            self.take_inputs(&taken);
-            if !self.first.acyclic.is_empty() {
-                self.answer_acyclic(opened.payload);
-            }
-            Ok(Arrival::Input)
+        if self.first.awaits(index) {
+            self.take_inputs(opened)
+        } else if self.second.awaits(index) {
+            self.take_outputs(opened)
         } else {
-            self.answered |= taken.answered & self.second_only;
-            Ok(Arrival::Output)
+            Err(self.unexpected(index))
         }
     }
 
-    /// Kind of a frame whose index is not in use.
+    /// Kind of a frame whose index is not awaited.
     #[cold]
-    fn foreign_index(&self, index: u8) -> Ignored {
+    fn unexpected(&self, index: u8) -> Ignored {
+        let has_arrived = |state, of: u8| state == SlotState::Received && of == index;
+        if has_arrived(self.first.state, self.first.index) || has_arrived(self.second.state, self.second.index) {
+            return Ignored::Duplicate;
+        }
         let age = self.next_index.wrapping_sub(index);
         let sent_before = u32::from(age) <= self.counters.frames_sent;
         if (1..=LATE_FRAMES).contains(&age) && sent_before {
@@ -463,13 +493,44 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
         }
     }
 
-    fn take_inputs(&mut self, taken: &Taken) {
-        self.input_valid = taken.answered;
-        self.answered |= taken.answered;
+    #[inline(always)]
+    fn take_inputs(&mut self, opened: Opened<'_>) -> Result<Arrival, Ignored> {
+        let taken = self.first.take_inputs(opened.payload, &mut self.images)?;
+        if !taken.answers.touched && opened.mark == 0 {
+            return Err(Ignored::Reflection);
+        }
+        self.first.state = SlotState::Received;
+        self.count(&taken.answers, opened.mark);
+        self.input_valid = taken.answers.answered;
         self.al = taken.al;
         self.clock_ns = taken.clock_ns;
         if let Some(time_ns) = taken.clock_ns {
             self.first.set_clock(time_ns);
+        }
+        if !self.first.acyclic.is_empty() {
+            self.answer_acyclic(opened.payload);
+        }
+        Ok(Arrival::Input)
+    }
+
+    #[inline(always)]
+    fn take_outputs(&mut self, opened: Opened<'_>) -> Result<Arrival, Ignored> {
+        let answers = self.second.take_outputs(opened.payload)?;
+        if !answers.touched && opened.mark == 0 && self.mark_seen != 0 {
+            return Err(Ignored::Reflection);
+        }
+        self.second.state = SlotState::Received;
+        self.count(&answers, opened.mark);
+        self.output_valid = answers.answered;
+        Ok(Arrival::Output)
+    }
+
+    #[inline(always)]
+    fn count(&mut self, answers: &Answers, mark: u8) {
+        self.mark_seen |= mark;
+        if answers.errors != 0 {
+            let errors = &mut self.counters.working_counter_errors;
+            *errors = errors.saturating_add(answers.errors);
         }
     }
 
@@ -500,7 +561,10 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
         });
     }
 
-    /// Reports the acyclic requests of the input telegram to the slow side as lost.
+    /// Reports the acyclic requests of the input telegram to the slow side as lost. A separate function because of its
+    /// stack.
+    #[cold]
+    #[inline(never)]
     fn answer_lost(&mut self) {
         for place in &self.first.acyclic {
             // Room was reserved when the request was taken.

@@ -7,7 +7,7 @@
 use super::observation::Ignored;
 use super::wire::{
     self, ETHERCAT_HEADER_LEN, ETHERTYPE, EtherCatType, FRAME_LEN_MIN, MacAddress, PAYLOAD_OFFSET, SOURCE_BIT,
-    UDP_PAYLOAD_OFFSET, UDP_PORT, UdpRepr, read_u16, write_bytes,
+    UDP_PAYLOAD_OFFSET, UDP_PORT, UdpRepr, write_bytes,
 };
 
 const LENGTH_MASK: u16 = 0x07FF;
@@ -30,8 +30,8 @@ pub enum Encapsulation {
 pub(super) struct Opened<'f> {
     /// The chain of datagrams.
     pub(super) payload: &'f [u8],
-    /// Whether a slave controller has marked the source address.
-    pub(super) marked: bool,
+    /// [`SOURCE_BIT`] if a slave controller has marked the source address, else 0.
+    pub(super) mark: u8,
 }
 
 impl Encapsulation {
@@ -76,51 +76,75 @@ impl Encapsulation {
     ///
     /// # Errors
     /// [`Ignored::EtherType`], [`Ignored::FrameType`], [`Ignored::Truncated`] or [`Ignored::ForeignSource`].
-    #[inline]
+    #[inline(always)]
     pub(super) fn open<'f>(&self, frame: &'f [u8], source: &MacAddress) -> Result<Opened<'f>, Ignored> {
-        let (content, marked) = match self {
+        let (payload, mark) = match self {
             Self::Raw => open_raw(frame, source)?,
-            Self::Udp(own) => (open_udp(frame, own)?, false),
-            Self::Bare => (frame, false),
+            Self::Udp(own) => (open_bare(open_udp(frame, own)?)?, 0),
+            Self::Bare => (open_bare(frame)?, 0),
         };
-        let header = content.first_chunk::<2>().ok_or(Ignored::Truncated)?;
-        let header = u16::from_le_bytes(*header);
-        if header >> TYPE_SHIFT != EtherCatType::Datagrams as u16 {
-            return Err(Ignored::FrameType);
-        }
-        let end = ETHERCAT_HEADER_LEN + usize::from(header & LENGTH_MASK);
-        let payload = content.get(ETHERCAT_HEADER_LEN..end).ok_or(Ignored::Truncated)?;
-        Ok(Opened { payload, marked })
+        Ok(Opened { payload, mark })
     }
 }
 
-/// Checks an Ethernet header. Returns its payload and whether the source is marked.
-#[inline]
-fn open_raw<'f>(frame: &'f [u8], source: &MacAddress) -> Result<(&'f [u8], bool), Ignored> {
-    let content = frame
-        .get(PAYLOAD_OFFSET - ETHERCAT_HEADER_LEN..)
-        .ok_or(Ignored::Truncated)?;
-    if content.len() < ETHERCAT_HEADER_LEN {
-        return Err(Ignored::Truncated);
+/// Opens EtherCAT header and datagrams without a source address.
+#[inline(never)]
+fn open_bare(content: &[u8]) -> Result<&[u8], Ignored> {
+    let header = content.first_chunk::<2>().ok_or(Ignored::Truncated)?;
+    let header = u16::from_le_bytes(*header);
+    if header >> TYPE_SHIFT != EtherCatType::Datagrams as u16 {
+        return Err(Ignored::FrameType);
     }
-    if read_u16(frame, 12) != ETHERTYPE.swap_bytes() {
-        return Err(Ignored::EtherType);
-    }
+    let end = ETHERCAT_HEADER_LEN + usize::from(header & LENGTH_MASK);
+    content.get(ETHERCAT_HEADER_LEN..end).ok_or(Ignored::Truncated)
+}
+
+/// Opens an Ethernet frame. Returns its datagrams and the mark of the source.
+#[inline(always)]
+fn open_raw<'f>(frame: &'f [u8], source: &MacAddress) -> Result<(&'f [u8], u8), Ignored> {
+    let head = frame.first_chunk::<PAYLOAD_OFFSET>().ok_or(Ignored::Truncated)?;
     // The first four and the last two bytes of the addresses are compared as words.
-    let words = |bytes: &[u8]| Some((bytes.first_chunk().copied()?, bytes.get(4..)?.first_chunk().copied()?));
-    let sender = frame.get(6..).and_then(words).ok_or(Ignored::Truncated)?;
-    let own = words(source).ok_or(Ignored::Truncated)?;
-    let first = u32::from_le_bytes(sender.0);
-    let (own_first, last, own_last) = (
-        u32::from_le_bytes(own.0),
-        u16::from_le_bytes(sender.1),
-        u16::from_le_bytes(own.1),
-    );
-    let differs = first ^ own_first;
-    if differs & !u32::from(SOURCE_BIT) | u32::from(last ^ own_last) != 0 {
-        return Err(Ignored::ForeignSource);
+    let [
+        _,
+        _,
+        _,
+        _,
+        _,
+        _,
+        a,
+        b,
+        c,
+        d,
+        e,
+        f,
+        type_high,
+        type_low,
+        header_low,
+        header_high,
+    ] = *head;
+    let [own_a, own_b, own_c, own_d, own_e, own_f] = *source;
+    let differs = u32::from_le_bytes([a, b, c, d]) ^ u32::from_le_bytes([own_a, own_b, own_c, own_d]);
+    let last_differs = u16::from_le_bytes([e, f]) ^ u16::from_le_bytes([own_e, own_f]);
+    let sender = differs & !u32::from(SOURCE_BIT) | u32::from(last_differs);
+    let protocol = u16::from_le_bytes([type_high, type_low]) ^ ETHERTYPE.swap_bytes();
+    let header = u16::from_le_bytes([header_low, header_high]);
+    if sender | u32::from(protocol) | u32::from(header >> TYPE_SHIFT ^ EtherCatType::Datagrams as u16) != 0 {
+        return Err(refused(sender, protocol));
     }
-    Ok((content, differs != 0))
+    let end = PAYLOAD_OFFSET + usize::from(header & LENGTH_MASK);
+    let payload = frame.get(PAYLOAD_OFFSET..end).ok_or(Ignored::Truncated)?;
+    // Any other difference was refused above.
+    Ok((payload, differs as u8))
+}
+
+/// Why a frame is not opened: the differences of its sender and of its EtherType.
+#[cold]
+fn refused(sender: u32, protocol: u16) -> Ignored {
+    match (protocol, sender) {
+        (0, 0) => Ignored::FrameType,
+        (0, _) => Ignored::ForeignSource,
+        _ => Ignored::EtherType,
+    }
 }
 
 /// Checks the headers of Ethernet, IPv4 and UDP. Returns the UDP payload of an answer, or of one of our own packets

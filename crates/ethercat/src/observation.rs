@@ -49,6 +49,33 @@ pub struct Observation {
     pub silent: bool,
 }
 
+impl Observation {
+    /// An observation that no bus makes.
+    pub(super) const IMPOSSIBLE: Self = Self {
+        al: AlStatus {
+            status: u16::MAX,
+            slaves: u16::MAX,
+        },
+        answered: u32::MAX,
+        silent: true,
+    };
+
+    /// The observation of a bus without replies.
+    pub(super) const SILENT: Self = Self {
+        al: AlStatus { status: 0, slaves: 0 },
+        answered: 0,
+        silent: true,
+    };
+
+    /// Whether anything differs, compared in words.
+    #[inline(always)]
+    pub(super) fn differs(&self, other: &Self) -> bool {
+        let packed = |al: &AlStatus| u32::from(al.status) | u32::from(al.slaves) << 16;
+        let al = packed(&self.al) ^ packed(&other.al);
+        al | self.answered ^ other.answered | u32::from(self.silent ^ other.silent) != 0
+    }
+}
+
 /// Kind of a received frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Arrival {
