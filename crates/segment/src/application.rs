@@ -1,6 +1,7 @@
-//! The application layer's state machine of a slave: INIT, PREOP, SAFEOP, OP and their checks.
+//! The application layer's state machine of a slave: INIT, PREOP, BOOT, SAFEOP, OP and their checks.
 //!
-//! One step up at a time, any step down. A refusal or a fallback sets the error bit and an AL status code; until the
+//! One step up at a time, any step down. BOOT is reached from INIT, and left for INIT, by a slave that has mailboxes for
+//! it. A refusal or a fallback sets the error bit and an AL status code; until the
 //! master has acknowledged it, every other request is ignored. Sync managers are checked all the
 //! time. States and codes: IEC 61158-6-12, AL control and AL status.
 
@@ -9,7 +10,6 @@ const OUTPUTS_WAIT_MS: u32 = 200;
 
 const ACKNOWLEDGE: u16 = 0x10;
 const STATE_MASK: u16 = 0x0F;
-const BOOTSTRAP: u16 = 3;
 const ERROR: u16 = 0x10;
 /// AL control: the master asks for the device's number. AL status: the status code is this number.
 const IDENTIFICATION: u16 = 0x20;
@@ -22,6 +22,8 @@ pub(crate) mod code {
     pub(crate) const UNKNOWN_STATE: u16 = 0x0012;
     /// Bootstrap is not supported.
     pub(crate) const NO_BOOTSTRAP: u16 = 0x0013;
+    /// The mailbox sync managers are not those of BOOT.
+    pub(crate) const BOOTSTRAP_MAILBOX: u16 = 0x0015;
     /// The mailbox sync managers are invalid.
     pub(crate) const MAILBOX: u16 = 0x0016;
     /// The process-data watchdog expired, or no outputs arrived.
@@ -47,6 +49,8 @@ pub enum AlState {
     Init = 1,
     /// Mailbox only.
     PreOperational = 2,
+    /// Firmware update: the mailboxes of this state, and files.
+    Bootstrap = 3,
     /// Mailbox and inputs, outputs safe.
     SafeOperational = 4,
     /// Mailbox, inputs and outputs.
@@ -59,6 +63,7 @@ impl AlState {
         Some(match register & STATE_MASK {
             1 => Self::Init,
             2 => Self::PreOperational,
+            3 => Self::Bootstrap,
             4 => Self::SafeOperational,
             8 => Self::Operational,
             _ => return None,
@@ -70,6 +75,8 @@ impl AlState {
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Readiness {
     pub(crate) mailbox: bool,
+    /// Whether the mailbox sync managers are those of BOOT; `None` without this state.
+    pub(crate) bootstrap: Option<bool>,
     pub(crate) outputs: bool,
     pub(crate) inputs: bool,
     pub(crate) outputs_received: bool,
@@ -163,7 +170,11 @@ impl Application {
     /// Falls back if a sync manager is no longer as the present state needs it.
     pub(crate) fn check(&mut self, ready: Readiness) {
         let cyclic = self.state >= AlState::SafeOperational;
-        if self.state >= AlState::PreOperational && !ready.mailbox {
+        if self.state == AlState::Bootstrap {
+            if ready.bootstrap != Some(true) {
+                self.retreat(AlState::Init, code::BOOTSTRAP_MAILBOX);
+            }
+        } else if self.state >= AlState::PreOperational && !ready.mailbox {
             self.retreat(AlState::Init, code::MAILBOX);
         } else if cyclic && !ready.outputs {
             self.retreat(AlState::PreOperational, code::OUTPUTS);
@@ -200,16 +211,28 @@ impl Application {
         self.error = false;
         self.code = 0;
         self.asked = control & IDENTIFICATION != 0;
-        let target = match AlState::from_number(control) {
-            Some(target) => target,
-            None if control & STATE_MASK == BOOTSTRAP => return self.refuse(code::NO_BOOTSTRAP),
-            None => return self.refuse(code::UNKNOWN_STATE),
+        let Some(target) = AlState::from_number(control) else {
+            return self.refuse(code::UNKNOWN_STATE);
         };
         self.waiting_ms = None;
-        if target > self.state {
+        if target == AlState::Bootstrap || self.state == AlState::Bootstrap {
+            self.change_bootstrap(target, ready);
+        } else if target > self.state {
             self.climb(target, ready);
         } else {
             self.state = target;
+        }
+    }
+
+    /// Handles a request for BOOT, or in BOOT.
+    fn change_bootstrap(&mut self, target: AlState, ready: Readiness) {
+        use AlState::{Bootstrap, Init};
+        match (self.state, target, ready.bootstrap) {
+            (_, Bootstrap, None) => self.refuse(code::NO_BOOTSTRAP),
+            (Bootstrap, Bootstrap, _) => {}
+            (Init, Bootstrap, Some(false)) => self.refuse(code::BOOTSTRAP_MAILBOX),
+            (Init, Bootstrap, Some(true)) | (Bootstrap, Init, _) => self.state = target,
+            _ => self.refuse(code::INVALID_CHANGE),
         }
     }
 
@@ -244,6 +267,7 @@ mod tests {
 
     const READY: Readiness = Readiness {
         mailbox: true,
+        bootstrap: None,
         outputs: true,
         inputs: true,
         outputs_received: true,
@@ -267,6 +291,34 @@ mod tests {
         assert_eq!(after(&[2, 8], READY), (0x12, code::INVALID_CHANGE));
         assert_eq!(after(&[3], READY), (0x11, code::NO_BOOTSTRAP));
         assert_eq!(after(&[2, 7], READY), (0x12, code::UNKNOWN_STATE));
+    }
+
+    #[test]
+    fn bootstrap_is_reached_from_init_and_left_for_init() {
+        let with = |bootstrap| Readiness {
+            bootstrap: Some(bootstrap),
+            ..READY
+        };
+        assert_eq!(after(&[3], with(true)), (0x03, 0));
+        assert_eq!(after(&[3, 1, 2], with(true)), (0x02, 0));
+        assert_eq!(after(&[3], with(false)), (0x11, code::BOOTSTRAP_MAILBOX));
+        for requests in [&[3, 2][..], &[3, 4], &[3, 8]] {
+            assert_eq!(
+                after(requests, with(true)),
+                (0x13, code::INVALID_CHANGE),
+                "{requests:?}"
+            );
+        }
+        for requests in [&[2, 3][..], &[2, 4, 3], &[2, 4, 8, 3]] {
+            assert_eq!(after(requests, with(true)).1, code::INVALID_CHANGE, "{requests:?}");
+        }
+        let mut application = Application::default();
+        application.request(3, with(true));
+        application.check(with(false));
+        assert_eq!(
+            (application.status(), application.code()),
+            (0x11, code::BOOTSTRAP_MAILBOX)
+        );
     }
 
     #[test]

@@ -1,21 +1,20 @@
-//! The chain of slaves and cables, and the passage of frames through it.
+//! The slaves and the passage of frames through them.
 //!
-//! A frame passes the slaves in order and comes back; the first controller marks its source address. Cables and power
-//! determine how far it gets; the script can add further faults.
+//! A frame passes the slaves in the order of the cables and comes back; the first controller marks its source address.
+//! Cables, power and closed loops determine how far it gets; the script can add further faults. A frame that is not
+//! EtherCAT comes back unchanged where every slave lets such frames pass (register 0x0100, bit 0).
 
 use crate::application::AlState;
-use crate::controller::datagram::{Datagrams, mark_processed};
+use crate::controller::datagram::{Datagrams, is_ethercat, mark_processed};
 use crate::drive::Drive;
 use crate::faults::Schedule;
 use crate::faults::damage;
 use crate::faults::kinds::Fault;
 use crate::load::Shaft;
 use crate::slave::Slave;
+use crate::wiring::{Branch, Route, TravelTimes, Wiring};
 use std::collections::VecDeque;
 
-/// Port bits of the data-link status: towards the master, and away from it.
-const PORT_IN: u8 = 0x01;
-const PORT_OUT: u8 = 0x02;
 /// Serial number of a slave that has replaced the one at a place, less the place.
 const SWAPPED_SERIAL: u32 = 1_000;
 /// A frame with a local experimental EtherType, as another station might send it.
@@ -41,27 +40,15 @@ pub(crate) struct Now {
     pub(crate) ns: u64,
 }
 
-/// Propagation times of a frame.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct TravelTimes {
-    /// Through one cable, ns.
-    pub(crate) cable_ns: u64,
-    /// Through one slave, in either direction, ns.
-    pub(crate) forwarding_ns: u64,
-}
-
 /// Slaves, cables and frames in flight.
 #[derive(Clone, Debug)]
 pub(crate) struct Chain {
     slaves: Vec<Slave>,
-    /// Cable k is behind slave k; cable 0 is the master's.
-    cut: Vec<bool>,
-    removed: Vec<bool>,
+    wiring: Wiring,
     mains_off_ms: Vec<u64>,
     stalled_until_ms: u64,
     /// Frames that each cable still destroys.
     damaging: Vec<u64>,
-    travel: TravelTimes,
     frames: u64,
     delayed: VecDeque<(u64, Vec<u8>)>,
     /// Drives with exchanged resolvers, from 1, and the remaining time, ms.
@@ -69,16 +56,14 @@ pub(crate) struct Chain {
 }
 
 impl Chain {
-    pub(crate) fn new(slaves: Vec<Slave>, travel: TravelTimes) -> Self {
+    pub(crate) fn new(slaves: Vec<Slave>, branches: &[Branch], travel: TravelTimes) -> Self {
         let count = slaves.len();
         let mut segment = Self {
             slaves,
-            cut: vec![false; count + 1],
-            removed: vec![false; count],
+            wiring: Wiring::new(count, branches, travel),
             mains_off_ms: vec![0; count],
             stalled_until_ms: 0,
             damaging: vec![0; count + 1],
-            travel,
             frames: 0,
             delayed: VecDeque::new(),
             exchanges: Vec::new(),
@@ -144,10 +129,11 @@ impl Chain {
     pub(crate) fn apply(&mut self, fault: Fault, now_ms: u64) {
         match fault {
             Fault::Stall(milliseconds) => self.stalled_until_ms = now_ms.saturating_add(milliseconds),
-            Fault::Cut(cable) => self.cut.iter_mut().skip(cable).take(1).for_each(|cut| *cut = true),
-            Fault::Join => self.cut.fill(false),
-            Fault::Remove(slave) => self.set_removed(slave, true),
-            Fault::Insert(slave) => self.set_removed(slave, false),
+            Fault::Cut(cable) => self.wiring.set_cut(cable, true),
+            Fault::Plug(cable) => self.wiring.set_cut(cable, false),
+            Fault::Join => self.wiring.join(),
+            Fault::Remove(slave) => self.wiring.set_removed(slave, true),
+            Fault::Insert(slave) => self.wiring.set_removed(slave, false),
             Fault::Power(slave, off_ms) => self.with(slave, |slave| slave.power_cycle(off_ms)),
             Fault::Retreat(slave, code) => self.with(slave, |slave| slave.fall(AlState::SafeOperational, code)),
             Fault::Fall(slave, state, code) => self.with(slave, |slave| slave.fall(state, code)),
@@ -181,6 +167,8 @@ impl Chain {
             Fault::Processor(slave, ms) => self.with(slave, |slave| slave.hang(ms)),
             Fault::Sii(slave, fault) => self.with(slave, |slave| slave.set_sii_fault(fault)),
             Fault::Mailbox(slave, step, fault) => self.with(slave, |slave| slave.spoil_mailbox(step, fault)),
+            Fault::File(slave, fault) => self.with(slave, |slave| slave.spoil_files(fault)),
+            Fault::Manner(slave, manner) => self.with(slave, |slave| slave.set_manner(manner)),
             Fault::Ethernet(slave) => self.with(slave, Slave::send_ethernet),
             _ => {}
         }
@@ -192,7 +180,7 @@ impl Chain {
         let now_ms = now.ms;
         let mut passing = frame.to_vec();
         if Datagrams::of_frame(&mut passing).is_none() {
-            return Vec::new();
+            return self.foreign(passing);
         }
         self.frames += 1;
         let mut faults = schedule.at_frame(self.frames, now_ms);
@@ -225,20 +213,26 @@ impl Chain {
         replies
     }
 
+    /// Passes a frame of another protocol on; the first slave that does not let it pass destroys it.
+    fn foreign(&self, frame: Vec<u8>) -> Vec<Vec<u8>> {
+        let Route { visits, back_ns } = self.wiring.route(&self.slaves);
+        let mut passed = visits.iter().filter_map(|visit| self.slaves.get(visit.slave));
+        match back_ns.is_some() && !is_ethercat(&frame) && passed.all(Slave::passes_foreign_frames) {
+            true => vec![frame],
+            false => Vec::new(),
+        }
+    }
+
     /// Passes a frame through the slaves that it can reach; returns false if it does not come back.
     fn pass(&mut self, frame: &mut [u8], now_ns: u64) -> bool {
-        let reached = self.reached();
-        if reached.is_empty() {
+        let route = self.wiring.route(&self.slaves);
+        if route.visits.is_empty() {
             return false;
         }
-        let TravelTimes {
-            cable_ns,
-            forwarding_ns,
-        } = self.travel;
-        let hop_ns = cable_ns + forwarding_ns;
-        let last = reached.len() as u64 - 1;
+        let at = |offset_ns: u64| now_ns.saturating_add(offset_ns);
         let mut damaged = false;
-        for (place, index) in (0u64..).zip(reached) {
+        for visit in route.visits {
+            let index = visit.slave;
             if let Some(left) = self.damaging.get_mut(index).filter(|left| **left > 0 && !damaged) {
                 *left -= 1;
                 damaged = true;
@@ -256,15 +250,13 @@ impl Chain {
                 slave.count_damage(true);
                 continue;
             }
-            let arrival_ns = now_ns.saturating_add(cable_ns + place * hop_ns);
-            let back_ns = (place < last).then(|| arrival_ns.saturating_add(2 * (last - place) * hop_ns));
-            slave.begin_frame(arrival_ns, back_ns);
+            slave.begin_frame(at(visit.arrival_ns), visit.back_ns.map(|back_ns| back_ns.map(at)));
             while let Some(mut datagram) = datagrams.next() {
                 slave.pass(&mut datagram);
             }
         }
         mark_processed(frame);
-        !damaged
+        !damaged && route.back_ns.is_some()
     }
 
     /// Returns the reply with the scripted faults.
@@ -290,44 +282,29 @@ impl Chain {
         }
     }
 
-    /// The slaves a frame reaches, in order.
-    fn reached(&self) -> Vec<usize> {
-        let mut reached = Vec::new();
-        for (index, slave) in self.slaves.iter().enumerate() {
-            if self.cut.get(index).copied().unwrap_or(true) {
-                break;
-            }
-            if self.removed.get(index).copied().unwrap_or(true) {
-                continue;
-            }
-            if !slave.is_powered() {
-                break;
-            }
-            reached.push(index);
+    /// How long a frame of the master travels at present, ns; `None` if it does not come back.
+    pub(crate) fn travel_ns(&self) -> Option<u64> {
+        self.wiring.route(&self.slaves).back_ns
+    }
+
+    /// Whether frames of the master reach each slave.
+    pub(crate) fn reached(&self) -> Vec<bool> {
+        let mut reached = vec![false; self.slaves.len()];
+        for visit in self.wiring.route(&self.slaves).visits {
+            reached
+                .iter_mut()
+                .skip(visit.slave)
+                .take(1)
+                .for_each(|flag| *flag = true);
         }
         reached
     }
 
     fn show_links(&mut self) {
-        let reached = self.reached();
-        let last = reached.last().copied();
-        for (index, slave) in self.slaves.iter_mut().enumerate() {
-            let links = match (reached.contains(&index), last == Some(index)) {
-                (true, true) => PORT_IN,
-                (true, false) => PORT_IN | PORT_OUT,
-                (false, _) => 0,
-            };
+        let links = self.wiring.links(&self.slaves);
+        for (slave, links) in self.slaves.iter_mut().zip(links) {
             slave.set_links(links);
         }
-    }
-
-    fn set_removed(&mut self, slave: usize, removed: bool) {
-        let at = slave.wrapping_sub(1);
-        self.removed
-            .iter_mut()
-            .skip(at)
-            .take(1)
-            .for_each(|flag| *flag = removed);
     }
 
     fn with_drive(&mut self, slave: usize, work: impl FnOnce(&mut Drive)) {

@@ -12,14 +12,17 @@
 //! 5. `devices`, `load`: what is behind a slave controller; what the motors turn
 //! 6. `faults`: the language of scripted faults
 //! 7. `slave`: one slave
-//! 8. `chain`, `list`: slaves, cables and frames; chains as text
-//! 9. `segment`: the chain in virtual time, with its load
+//! 8. `wiring`: cables between slaves, and the way of a frame
+//! 9. `chain`, `list`: slaves and frames; chains as text
+//! 10. `segment`: the chain in virtual time, with its load
+//! 11. `control`: commands to a running segment, as text
 #![forbid(unsafe_code)]
 
 mod application;
 mod bits;
 pub mod capture;
 mod chain;
+pub mod control;
 mod controller;
 mod devices;
 mod drive;
@@ -35,6 +38,7 @@ pub mod rig;
 mod segment;
 mod slave;
 pub mod transport;
+mod wiring;
 
 pub use application::AlState;
 pub use controller::silicon::ClockWidth;
@@ -44,10 +48,13 @@ pub use drive::resolver::{ResolverError, ResolverFault};
 pub use drive::velocity_loop::{LOOP_STEP_S, LOOP_STEPS, PiLoop, VelocityLoop};
 pub use drive::{DriveOptions, DriveState};
 pub use eeprom::SiiFault;
-pub use faults::kinds::{Fault, MailFault, MailStep, Product};
+pub use eeprom::esi::{EsiDevice, EsiError};
+pub use faults::kinds::{Fault, MailFault, MailStep, Manner, Product};
 pub use faults::{SCRIPT_HELP, Script, ScriptError, ScriptProblem};
 pub use list::{SLAVES_MAX, SlaveList, SlaveListError, parse_slaves};
 pub use load::{Flywheel, Load, STEP_S, Shaft};
+pub use mailbox::foe::FileFault;
 pub use oscillator::Oscillator;
 pub use segment::{CATCH_UP_MS_MAX, ClockOptions, MotorState, Segment, SegmentOptions, SlaveState};
 pub use slave::options::{PlaceOptions, SlaveOptions};
+pub use wiring::Branch;

@@ -22,6 +22,10 @@ pub(crate) const AL_STATUS: usize = wire::AL_STATUS as usize;
 pub(crate) const AL_STATUS_CODE: usize = wire::AL_STATUS_CODE as usize;
 /// Events that the datagrams' interrupt field reports.
 pub(crate) const EVENT_MASK: usize = wire::EVENT_MASK as usize;
+/// Events that the bus may ask for.
+pub(crate) const EVENT_REQUEST: usize = EVENT_MASK + 0x10;
+/// Reset of the controller by three bytes in three frames.
+pub(crate) const RESET: usize = 0x0040;
 /// Watchdog clock divider.
 pub(crate) const WATCHDOG_DIVIDER: usize = wire::WATCHDOG_DIVIDER as usize;
 /// Process-data watchdog time in periods of the divided clock.
@@ -72,6 +76,7 @@ pub(crate) fn is_read_only(at: usize) -> bool {
         || (DL_STATUS..DL_STATUS + 2).contains(&at)
         || (AL_STATUS..AL_STATUS_CODE + 2).contains(&at)
         || (WATCHDOG_STATUS..WATCHDOG_STATUS + 2).contains(&at)
+        || (EVENT_REQUEST..EVENT_REQUEST + 4).contains(&at)
         || manager_flag
 }
 

@@ -9,7 +9,7 @@
 //! Invariant: the same options and frames give the same replies and motions, and no input panics.
 
 use crate::application::AlState;
-use crate::chain::{Chain, Now, TravelTimes};
+use crate::chain::{Chain, Now};
 use crate::controller::Nature;
 use crate::controller::silicon::ClockWidth;
 use crate::devices::kind::SlaveKind;
@@ -23,6 +23,7 @@ use crate::random::Random;
 use crate::rig::Bus;
 use crate::slave::Slave;
 use crate::slave::options::{PlaceOptions, SlaveOptions};
+use crate::wiring::{Branch, TravelTimes};
 use std::collections::BTreeMap;
 
 /// Length of a step, microseconds.
@@ -58,6 +59,9 @@ pub struct SegmentOptions {
     pub slaves: Vec<SlaveKind>,
     /// What is set on the slaves, in the order of the chain; slaves beyond them have the default options.
     pub places: Vec<PlaceOptions>,
+    /// Cables that do not lead from one slave to the next: the others are a line. Slaves whose numbers follow the frame's
+    /// way (ports 3, 1 and 2 of each) have the positions that a master counts.
+    pub branches: Vec<Branch>,
     /// The drives in the order of the chain; drives beyond them have the default options.
     pub drives: Vec<DriveOptions>,
     /// Distributed clocks and propagation times of the frames.
@@ -77,6 +81,7 @@ impl Default for SegmentOptions {
         Self {
             slaves: Vec::new(),
             places: Vec::new(),
+            branches: Vec::new(),
             drives: Vec::new(),
             clocks: ClockOptions::default(),
             sii_busy_us: eeprom::BUSY_NS / 1000,
@@ -90,7 +95,7 @@ impl Default for SegmentOptions {
 /// Distributed clocks of the slaves, and how long frames travel.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct ClockOptions {
-    /// Width of the clocks of all slaves that have one.
+    /// Width of the clocks of all slaves that have one, but for those whose kind or place says another.
     pub width: ClockWidth,
     /// Largest drift of a slave's clock, in either direction, parts per million.
     pub drift_max_ppm: f64,
@@ -124,6 +129,8 @@ pub struct SlaveState {
     pub drive_error: u16,
     /// Whether it has power.
     pub powered: bool,
+    /// Whether frames of the master reach it.
+    pub reached: bool,
 }
 
 /// State of one motor.
@@ -177,7 +184,7 @@ impl<L: Load> Segment<L> {
             forwarding_ns: options.clocks.forwarding_ns.min(TRAVEL_MAX_NS),
         };
         Self {
-            chain: Chain::new(slaves.collect(), travel),
+            chain: Chain::new(slaves.collect(), &options.branches, travel),
             load,
             schedule: Schedule::new(&options.faults, options.fault_seed),
             boundary_us: None,
@@ -251,6 +258,12 @@ impl<L: Load> Segment<L> {
         self.steps
     }
 
+    /// How long a frame travels through the slaves and back at present, ns; `None` if it does not come back.
+    #[must_use]
+    pub fn travel_ns(&self) -> Option<u64> {
+        self.chain.travel_ns()
+    }
+
     /// EtherCAT frames that came from the master.
     #[must_use]
     pub fn frames(&self) -> u64 {
@@ -260,13 +273,20 @@ impl<L: Load> Segment<L> {
     /// Present states of the slaves, in the order of the chain.
     #[must_use]
     pub fn slaves(&self) -> Vec<SlaveState> {
-        let states = self.chain.slaves().iter().map(|slave| SlaveState {
-            al_state: slave.state(),
-            al_status_code: slave.al_status_code(),
-            drive: slave.drive().map_or(DriveState::SwitchOnDisabled, Drive::state),
-            drive_error: slave.drive().map_or(0, Drive::error_code),
-            powered: slave.is_powered(),
-        });
+        let reached = self.chain.reached();
+        let states = self
+            .chain
+            .slaves()
+            .iter()
+            .zip(reached)
+            .map(|(slave, reached)| SlaveState {
+                al_state: slave.state(),
+                al_status_code: slave.al_status_code(),
+                drive: slave.drive().map_or(DriveState::SwitchOnDisabled, Drive::state),
+                drive_error: slave.drive().map_or(0, Drive::error_code),
+                powered: slave.is_powered(),
+                reached,
+            });
         states.collect()
     }
 
@@ -302,6 +322,17 @@ impl<L: Load> Segment<L> {
     #[must_use]
     pub fn outputs(&self, slave: usize) -> Option<Vec<u8>> {
         self.chain.slave(slave)?.outputs()
+    }
+
+    /// Content of a file that a slave, from 1, keeps for access over EtherCAT (FoE); `None` if there is none.
+    #[must_use]
+    pub fn file(&self, slave: usize, name: &str) -> Option<&[u8]> {
+        self.chain.slave(slave)?.file(name)
+    }
+
+    /// Stores a file in a slave, from 1.
+    pub fn store_file(&mut self, slave: usize, name: &str, content: &[u8]) {
+        self.chain.with(slave, |slave| slave.store_file(name, content));
     }
 
     /// Sets what the processor of a slave, from 1, is like. The processor starts at once and at every power-up.
@@ -355,5 +386,6 @@ fn nature(random: &mut Random, options: &SegmentOptions) -> Nature {
         drift_ppb: ((2.0 * random.unit() - 1.0) * drift_ppm * 1000.0) as i64,
         local_ns: random.bits() % CLOCK_AGE_MAX_NS,
         sii_busy_ns: options.sii_busy_us.min(SII_BUSY_MAX_US) * 1000,
+        ..Nature::default()
     }
 }

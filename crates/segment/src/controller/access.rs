@@ -8,11 +8,24 @@ use crate::bits::{bit, set_bit};
 use etherpen_ethercat::wire::Command;
 use fmmu::Overlap;
 
+/// Registers before a write that change what the write does.
+#[derive(Clone, Copy, Debug)]
+struct Before {
+    /// Whether the slave's processor has not read the last state request.
+    unread: bool,
+    /// Whether the information memory is offered to the slave's processor.
+    offered: bool,
+    /// Settings of the loops.
+    loops: u8,
+}
+
 impl Controller {
     /// Reports the present events in the interrupt field of a datagram and processes it.
     pub(crate) fn pass(&mut self, datagram: &mut Datagram) {
-        let pending = if self.link_event { EVENT_LINK } else { 0 };
-        datagram.report(pending & self.word(register::EVENT_MASK));
+        let mask = self.word(register::EVENT_MASK);
+        if mask != 0 {
+            datagram.report(self.events() & mask);
+        }
         self.process(datagram);
     }
 
@@ -158,8 +171,11 @@ impl Controller {
         {
             self.clock.show(registers);
         }
-        if address < register::DL_STATUS + 2 && address + into.len() > register::DL_STATUS {
-            self.link_event = false;
+        let touches = |register: usize| address < register + 2 && address + into.len() > register;
+        self.link_event &= !touches(register::DL_STATUS);
+        self.state_event &= !touches(register::AL_STATUS);
+        if touches(register::EVENT_REQUEST) {
+            self.store(register::EVENT_REQUEST, &self.events().to_le_bytes());
         }
         let mut success = false;
         let mut done = 0;
@@ -258,8 +274,12 @@ impl Controller {
     }
 
     fn write_registers(&mut self, start: usize, data: &[u8]) -> bool {
-        let unread = self.al_request.is_some();
-        let offered = self.offers_sii();
+        let before = Before {
+            unread: self.al_request.is_some(),
+            offered: self.offers_sii(),
+            loops: self.byte(register::DL_CONTROL + 1),
+        };
+        let Before { unread, offered, .. } = before;
         let locked = std::array::from_fn::<bool, SYNC_MANAGERS, _>(|index| {
             let manager = self.sync_managers.get(index);
             manager.is_some_and(|manager| manager.is_enabled())
@@ -283,13 +303,13 @@ impl Controller {
                 success |= self.store(at, &[*value]);
             }
         }
-        self.obey(start, data, (unread, offered));
+        self.obey(start, data, before);
         success
     }
 
-    /// Acts on registers that were written. Before the write, a state request was `unread` or not, and the information
-    /// memory `offered` to the processor or not.
-    fn obey(&mut self, start: usize, data: &[u8], (unread, offered): (bool, bool)) {
+    /// Acts on registers that were written.
+    fn obey(&mut self, start: usize, data: &[u8], before: Before) {
+        let Before { unread, offered, loops } = before;
         let touches = |from: usize, length: usize| start < from + length && from < start + data.len();
         if touches(register::AL_CONTROL, 1) {
             let control = self.word(register::AL_CONTROL);
@@ -298,6 +318,16 @@ impl Controller {
             } else if !unread {
                 self.al_request = Some(control);
             }
+        }
+        if let Some(value) = register::RESET.checked_sub(start).and_then(|at| data.get(at)) {
+            self.write_reset(*value);
+        }
+        if touches(register::DL_CONTROL + 1, 1) {
+            self.kept_closed = 0;
+            let temporary = self.byte(register::DL_CONTROL) & LOOPS_TEMPORARY != 0;
+            let kept = self.loops_before.map_or(loops, |(loops, _)| loops);
+            self.loops_before = temporary.then(|| (kept, self.now_ns.saturating_add(LOOPS_TEMPORARY_NS)));
+            self.set_links(self.links);
         }
         if let Some(registers) = self.memory.get_mut(eeprom::BASE..eeprom::BASE + eeprom::LENGTH) {
             if touches(register::SII_CONFIG, 1) {

@@ -8,6 +8,7 @@
 //! Invariant: time never runs backwards by itself, and every call takes constant time whatever the registers contain.
 
 use crate::controller::silicon::ClockWidth;
+use crate::controller::{Nature, PORTS};
 
 /// First register.
 pub(crate) const BASE: usize = 0x0900;
@@ -46,8 +47,8 @@ const PORT_TIMES_DEFAULT: [u8; PORT_TIMES_LENGTH] = *b"Beckhoff\0\0\0\0Verl";
 const SPEED_START_DEFAULT: u16 = 0x1000;
 const FILTER_DEFAULT: [u8; 2] = [4, 12];
 const BILLION: i128 = 1_000_000_000;
-/// Time constants of the loop, ns: for correcting a difference, and the longer one for learning the drift.
-const STEERING_TIME_NS: i64 = 10_000_000;
+/// Default time constant for correcting a difference, ns; the one for learning the drift is longer.
+pub(crate) const LOCK_NS: i64 = 10_000_000;
 const LEARNING_FACTOR: i64 = 10;
 /// Largest corrections of the rate and of the learnt drift, in 1e-9.
 const RATE_MAX_PPB: i64 = 100_000_000;
@@ -70,7 +71,7 @@ pub(crate) enum SyncState {
 #[derive(Clone, Debug)]
 pub(crate) struct DistributedClock {
     width: ClockWidth,
-    drift_ppb: i64,
+    nature: Nature,
     true_ns: u64,
     local_ns: u64,
     /// Fraction of a nanosecond, 1e-9 ns.
@@ -89,11 +90,11 @@ pub(crate) struct DistributedClock {
 }
 
 impl DistributedClock {
-    /// A clock that is fast by `drift_ppb` in 1e9 and has run for `local_ns`.
-    pub(crate) fn new(width: ClockWidth, drift_ppb: i64, local_ns: u64) -> Self {
+    /// A clock with this crystal that has run for `local_ns`.
+    pub(crate) fn new(width: ClockWidth, nature: Nature, local_ns: u64) -> Self {
         Self {
             width,
-            drift_ppb,
+            nature,
             true_ns: 0,
             local_ns,
             fraction: 0,
@@ -114,7 +115,7 @@ impl DistributedClock {
     /// Resets the clock to its state after power-up; the crystal keeps its drift.
     pub(crate) fn power_up(&mut self, registers: &mut [u8]) {
         let true_ns = self.true_ns;
-        *self = Self::new(self.width, self.drift_ppb, 0);
+        *self = Self::new(self.width, self.nature, 0);
         self.true_ns = true_ns;
         if self.has_register(PORT_TIMES) {
             put(registers, PORT_TIMES, &PORT_TIMES_DEFAULT);
@@ -146,7 +147,7 @@ impl DistributedClock {
         if passed == 0 || self.width == ClockWidth::None {
             return;
         }
-        let rate = BILLION + i128::from(self.drift_ppb + self.steering_ppb + self.learnt_ppb);
+        let rate = BILLION + i128::from(self.nature.drift_ppb + self.steering_ppb + self.learnt_ppb);
         let grown = passed * rate + self.fraction;
         self.fraction = grown.rem_euclid(BILLION);
         self.local_ns = self.local_ns.wrapping_add(grown.div_euclid(BILLION) as u64);
@@ -196,8 +197,9 @@ impl DistributedClock {
         }
     }
 
-    /// Handles a write of `data` at this offset by the bus; `back_ns` is the true time at which the frame comes back.
-    pub(crate) fn written(&mut self, registers: &mut [u8], start: usize, data: &[u8], back_ns: Option<u64>) {
+    /// Handles a write of `data` at this offset by the bus; `back_ns` are the true times at which the frame comes back to
+    /// the ports.
+    pub(crate) fn written(&mut self, registers: &mut [u8], start: usize, data: &[u8], back_ns: [Option<u64>; PORTS]) {
         let touches = |from: usize, length: usize| start < from + length && from < start + data.len();
         if touches(PORT_TIMES, 1) && self.has_register(PORT_TIMES) {
             self.latch(registers, back_ns);
@@ -243,11 +245,13 @@ impl DistributedClock {
         self.local_ns.wrapping_add(self.offset_ns)
     }
 
-    fn latch(&self, registers: &mut [u8], back_ns: Option<u64>) {
+    fn latch(&self, registers: &mut [u8], back_ns: [Option<u64>; PORTS]) {
         let local = |true_ns: u64| self.local_ns.wrapping_add(true_ns.saturating_sub(self.true_ns));
         put(registers, PORT_TIMES, &(self.local_ns as u32).to_le_bytes());
-        if let Some(back_ns) = back_ns {
-            put(registers, PORT_TIMES + 4, &(local(back_ns) as u32).to_le_bytes());
+        for (port, back_ns) in back_ns.into_iter().enumerate() {
+            if let Some(back_ns) = back_ns {
+                put(registers, PORT_TIMES + 4 * port, &(local(back_ns) as u32).to_le_bytes());
+            }
         }
         if self.has_system_time() {
             self.put_time(registers, UNIT_TIME, self.local_ns);
@@ -279,7 +283,7 @@ impl DistributedClock {
             true => difference,
             false => self.mean_ns + (difference - self.mean_ns) / (1 << depth.min(12)).max(1),
         };
-        let time_ns = STEERING_TIME_NS.max(4 * passed_ns);
+        let time_ns = self.nature.lock_ns.max(4 * passed_ns);
         let ppb = |of_ns: i64| i64::try_from(-i128::from(difference) * BILLION / i128::from(of_ns)).unwrap_or(0);
         self.steering_ppb = ppb(time_ns).clamp(-RATE_MAX_PPB, RATE_MAX_PPB);
         let share = i128::from(ppb(LEARNING_FACTOR * time_ns)) * i128::from(passed_ns) / i128::from(time_ns);
@@ -349,16 +353,23 @@ fn read_u64(bytes: &[u8], at: usize) -> u64 {
 mod tests {
     use super::*;
 
+    fn drifting(drift_ppb: i64) -> Nature {
+        Nature {
+            drift_ppb,
+            ..Nature::default()
+        }
+    }
+
     fn write(clock: &mut DistributedClock, registers: &mut [u8], at: usize, data: &[u8]) {
         put(registers, at, data);
-        clock.written(registers, at, data, None);
+        clock.written(registers, at, data, [None; PORTS]);
     }
 
     #[test]
     fn a_slow_and_a_fast_clock_are_steered_to_the_reference() {
         for width in [ClockWidth::Bits32, ClockWidth::Bits64] {
             for drift_ppb in [-80_000, -1_000, 0, 50_000] {
-                let mut clock = DistributedClock::new(width, drift_ppb, 5_000_000);
+                let mut clock = DistributedClock::new(width, drifting(drift_ppb), 5_000_000);
                 let mut registers = vec![0; LENGTH];
                 write(&mut clock, &mut registers, DELAY, &700u32.to_le_bytes());
                 let offset = 1_000_000_000u64.wrapping_sub(5_000_000 - 700);
@@ -368,7 +379,7 @@ mod tests {
                     let time_ns = millisecond * 1_000_000;
                     clock.advance(time_ns);
                     let reference = 1_000_000_000 + time_ns;
-                    clock.written(&mut registers, SYSTEM_TIME, &reference.to_le_bytes(), None);
+                    clock.written(&mut registers, SYSTEM_TIME, &reference.to_le_bytes(), [None; PORTS]);
                     if millisecond > 1_500 {
                         let mine = clock.system_ns().wrapping_sub(700);
                         worst = worst.max(mine.abs_diff(reference));
@@ -383,7 +394,7 @@ mod tests {
 
     #[test]
     fn pulses_start_at_their_time_and_keep_their_cycle() {
-        let mut clock = DistributedClock::new(ClockWidth::Bits64, 0, 0);
+        let mut clock = DistributedClock::new(ClockWidth::Bits64, drifting(0), 0);
         let mut registers = vec![0; LENGTH];
         write(&mut clock, &mut registers, CYCLE_TIME, &1_000_000u32.to_le_bytes());
         write(&mut clock, &mut registers, START_TIME, &10_000_000u64.to_le_bytes());
@@ -404,7 +415,7 @@ mod tests {
             (ClockWidth::Bits64, SyncState::Waiting),
             (ClockWidth::Bits32, SyncState::Running),
         ] {
-            let mut clock = DistributedClock::new(width, 0, 1_000_000);
+            let mut clock = DistributedClock::new(width, drifting(0), 1_000_000);
             let mut registers = vec![0; LENGTH];
             write(&mut clock, &mut registers, CYCLE_TIME, &1_000_000u32.to_le_bytes());
             write(&mut clock, &mut registers, START_TIME, &900_000u64.to_le_bytes());
@@ -418,7 +429,7 @@ mod tests {
 
     #[test]
     fn an_activation_without_pulses_is_invalid() {
-        let mut clock = DistributedClock::new(ClockWidth::Bits64, 0, 0);
+        let mut clock = DistributedClock::new(ClockWidth::Bits64, drifting(0), 0);
         let mut registers = vec![0; LENGTH];
         write(&mut clock, &mut registers, ACTIVATION, &[1]);
         assert_eq!(clock.state(), SyncState::Invalid);

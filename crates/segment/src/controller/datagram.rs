@@ -162,6 +162,11 @@ impl<'frame> Datagrams<'frame> {
     }
 }
 
+/// Whether a frame says that it carries EtherCAT, whatever its content.
+pub(crate) fn is_ethercat(frame: &[u8]) -> bool {
+    payload_start(frame).is_some()
+}
+
 /// Marks a frame as processed, as the first slave controller does in the source address. Clears a UDP checksum, which
 /// the changed data would invalidate.
 pub(crate) fn mark_processed(frame: &mut [u8]) {

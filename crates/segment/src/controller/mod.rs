@@ -31,6 +31,8 @@ const MEMORY: usize = 0x3000;
 const SYNC_MANAGERS: usize = 8;
 /// Most fieldbus memory management units.
 const FMMUS: usize = 8;
+/// Ports.
+pub(crate) const PORTS: usize = 4;
 /// Units for which there is register space, existing or not.
 const UNITS: usize = 16;
 
@@ -50,8 +52,18 @@ const CLOCK_TICK_NS: u64 = 40;
 
 /// Configuration of the controller: device emulation.
 const DEVICE_EMULATION: u8 = 0x01;
-/// Event of the datagrams' interrupt field: the data-link status has changed.
+/// Events of the event request register and the datagrams' interrupt field: the data-link status has changed, the
+/// application's state has changed, and from this bit on one for each sync manager.
 const EVENT_LINK: u16 = 0x0004;
+const EVENT_STATE: u16 = 0x0008;
+const EVENT_SYNC_MANAGER: u16 = 0x0010;
+/// Data-link control, byte 0: frames of other protocols are destroyed; byte 1 is in effect for a second.
+const FOREIGN_DESTROYED: u8 = 0x01;
+const LOOPS_TEMPORARY: u8 = 0x02;
+/// How long a temporary setting of the loops lasts, ns.
+const LOOPS_TEMPORARY_NS: u64 = 1_000_000_000;
+/// Written one after the other to the reset register, these bytes reset the controller.
+const RESET_BYTES: [u8; 3] = *b"RES";
 /// Access to the information memory: given to the slave's processor.
 const SII_OFFERED: u8 = 0x01;
 /// AL control: state and acknowledge.
@@ -62,6 +74,19 @@ const WORD_PDI_CONTROL: usize = 0;
 const WORD_PULSE_LENGTH: usize = 2;
 const WORD_ALIAS: usize = 4;
 
+/// What a port's loop does, two bits a port in byte 1 of the data-link control.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum LoopSetting {
+    /// Open with a link, closed without.
+    Auto,
+    /// Closed without a link; opens when the setting is written again.
+    AutoClose,
+    /// Open with or without a link.
+    Open,
+    /// Closed.
+    Closed,
+}
+
 /// Individual properties of a controller.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Nature {
@@ -71,6 +96,8 @@ pub(crate) struct Nature {
     pub(crate) local_ns: u64,
     /// Duration of a command of the information memory, ns.
     pub(crate) sii_busy_ns: u64,
+    /// Time constant in which the clock follows the reference clock, ns.
+    pub(crate) lock_ns: i64,
 }
 
 impl Default for Nature {
@@ -79,6 +106,7 @@ impl Default for Nature {
             drift_ppb: 0,
             local_ns: 0,
             sii_busy_ns: eeprom::BUSY_NS,
+            lock_ns: clock::LOCK_NS,
         }
     }
 }
@@ -93,11 +121,22 @@ pub(crate) struct Controller {
     eeprom: Eeprom,
     clock: DistributedClock,
     now_ns: u64,
-    back_ns: Option<u64>,
+    /// When the present frame comes back to each port.
+    back_ns: [Option<u64>; PORTS],
     processor_alive: bool,
     /// Whether the data-link status has changed since the bus read it.
     link_event: bool,
+    /// Whether the application's state has changed since the bus read it.
+    state_event: bool,
     al_request: Option<u16>,
+    links: u8,
+    /// Ports that have lost their link while their loops close and do not open by themselves.
+    kept_closed: u8,
+    /// Byte 1 of the data-link control before a temporary setting, and when it is valid again.
+    loops_before: Option<(u8, u64)>,
+    /// Frames so far; bytes of a reset that were written, and the frame of the last one.
+    frames: u64,
+    reset: (usize, u64),
 }
 
 impl Controller {
@@ -108,16 +147,22 @@ impl Controller {
             memory: Vec::new(),
             sync_managers: Default::default(),
             fmmus: Default::default(),
-            eeprom: Eeprom::new(image, nature.sii_busy_ns),
-            clock: DistributedClock::new(silicon.clock, nature.drift_ppb, 0),
+            eeprom: Eeprom::new(image, nature.sii_busy_ns, silicon.sii_flags),
+            clock: DistributedClock::new(silicon.clock, nature, 0),
             now_ns: 0,
-            back_ns: None,
+            back_ns: [None; PORTS],
             processor_alive: true,
             link_event: true,
+            state_event: false,
             al_request: None,
+            links: 0,
+            kept_closed: 0,
+            loops_before: None,
+            frames: 0,
+            reset: (0, 0),
         };
         controller.power_up();
-        controller.clock = DistributedClock::new(silicon.clock, nature.drift_ppb, nature.local_ns);
+        controller.clock = DistributedClock::new(silicon.clock, nature, nature.local_ns);
         controller
     }
 
@@ -128,8 +173,9 @@ impl Controller {
         self.sync_managers = Default::default();
         self.fmmus = Default::default();
         self.al_request = None;
+        (self.state_event, self.kept_closed, self.loops_before, self.reset) = (false, 0, None, (0, 0));
         self.describe();
-        self.store(register::DL_CONTROL + 2, &[RECEIVE_FIFO_DEFAULT]);
+        self.store(register::DL_CONTROL, &[FOREIGN_DESTROYED, 0, RECEIVE_FIFO_DEFAULT]);
         self.store(register::WATCHDOG_DIVIDER, &WATCHDOG_DIVIDER_DEFAULT.to_le_bytes());
         self.store(
             register::WATCHDOG_PROCESS_DATA,
@@ -219,12 +265,102 @@ impl Controller {
         if reloaded {
             self.load_configuration();
         }
+        if let Some((loops, until_ns)) = self.loops_before
+            && self.now_ns >= until_ns
+        {
+            self.loops_before = None;
+            self.store(register::DL_CONTROL + 1, &[loops]);
+        }
     }
 
-    /// Handles the arrival of a frame that will come back from the chain behind at `back_ns`.
-    pub(crate) fn begin_frame(&mut self, arrival_ns: u64, back_ns: Option<u64>) {
+    /// Handles the arrival of a frame that will come back to the ports at `back_ns`.
+    pub(crate) fn begin_frame(&mut self, arrival_ns: u64, back_ns: [Option<u64>; PORTS]) {
         self.advance(arrival_ns);
         self.back_ns = back_ns;
+        self.frames = self.frames.wrapping_add(1);
+    }
+
+    /// The slave's processor carries out a command of an information memory that it emulates.
+    pub(crate) fn serve_sii(&mut self) {
+        let now_ns = self.now_ns;
+        let reloaded = self
+            .memory
+            .get_mut(eeprom::BASE..eeprom::BASE + eeprom::LENGTH)
+            .is_some_and(|registers| self.eeprom.serve(registers, now_ns));
+        if reloaded {
+            self.load_configuration();
+        }
+    }
+
+    /// The slave's processor takes the information memory, or gives it back.
+    pub(crate) fn hold_sii(&mut self, held: bool) {
+        if let Some(registers) = self.memory.get_mut(eeprom::BASE..eeprom::BASE + eeprom::LENGTH) {
+            self.eeprom.hold(held, registers);
+        }
+    }
+
+    /// Whether the slave's processor has the information memory.
+    pub(crate) fn holds_sii(&self) -> bool {
+        self.eeprom.is_held()
+    }
+
+    /// Whether the bus has requested a reset of the controller; returned once.
+    pub(crate) fn take_reset(&mut self) -> bool {
+        let requested = self.reset.0 >= RESET_BYTES.len();
+        if requested {
+            self.reset = (0, 0);
+        }
+        requested
+    }
+
+    /// Takes a byte that the bus has written to the reset register; each has to come in a frame of its own.
+    fn write_reset(&mut self, value: u8) {
+        let (written, frame) = self.reset;
+        let again = written > 0 && frame == self.frames;
+        let expected = RESET_BYTES.get(written).filter(|_| !again);
+        let written = match value {
+            value if expected == Some(&value) => written + 1,
+            value if RESET_BYTES.first() == Some(&value) && !again => 1,
+            _ => 0,
+        };
+        self.reset = (written, self.frames);
+        self.store(register::RESET, &[written.min(2) as u8]);
+    }
+
+    /// Whether frames of other protocols pass the slave.
+    pub(crate) fn passes_foreign_frames(&self) -> bool {
+        self.byte(register::DL_CONTROL) & FOREIGN_DESTROYED == 0
+    }
+
+    /// Whether frames leave and enter through a port.
+    pub(crate) fn is_open(&self, port: u8) -> bool {
+        let set = |ports: u8| ports >> port & 1 != 0;
+        match self.loop_setting(port) {
+            LoopSetting::Auto => set(self.links),
+            LoopSetting::AutoClose => set(self.links) && !set(self.kept_closed),
+            LoopSetting::Open => true,
+            LoopSetting::Closed => false,
+        }
+    }
+
+    fn loop_setting(&self, port: u8) -> LoopSetting {
+        match self.byte(register::DL_CONTROL + 1) >> (2 * port) & 3 {
+            0 => LoopSetting::Auto,
+            1 => LoopSetting::AutoClose,
+            2 => LoopSetting::Open,
+            _ => LoopSetting::Closed,
+        }
+    }
+
+    /// The events that the bus may ask for.
+    fn events(&self) -> u16 {
+        let flag = |set, bit| if set { bit } else { 0 };
+        let managers = self.sync_managers.iter().enumerate();
+        let managers = managers.filter(|(_, manager)| manager.has_event());
+        managers.fold(
+            flag(self.link_event, EVENT_LINK) | flag(self.state_event, EVENT_STATE),
+            |events, (index, _)| events | EVENT_SYNC_MANAGER << index,
+        )
     }
 
     /// Number of SYNC0 pulses since the last call.
@@ -280,6 +416,7 @@ impl Controller {
 
     /// Sets the application's state in the registers.
     pub(crate) fn set_al_status(&mut self, status: u16, code: u16) {
+        self.state_event |= status != self.al_status() && !self.is_emulated();
         self.store(register::AL_STATUS, &status.to_le_bytes());
         self.store(register::AL_STATUS_CODE, &code.to_le_bytes());
     }
@@ -287,11 +424,13 @@ impl Controller {
     /// Sets which ports have a link: bit n for port n; counts lost links.
     pub(crate) fn set_links(&mut self, links: u8) {
         let before = self.word(register::DL_STATUS) >> 4;
+        self.kept_closed |= self.links & !links;
+        self.links = links;
         let has_interface = self.byte(register::PDI_CONTROL) != 0;
         let mut status = u16::from(self.eeprom.is_valid()) | u16::from(self.processor_alive && has_interface) << 1;
-        for port in 0..4u16 {
+        for port in 0..PORTS as u16 {
             let linked = u16::from(links) >> port & 1;
-            let closed = 1 - linked;
+            let closed = u16::from(!self.is_open(port as u8));
             status |= linked << (4 + port) | closed << (8 + 2 * port) | linked << (9 + 2 * port);
             if before >> port & 1 > linked {
                 let counter = register::LOST_LINKS + usize::from(port);

@@ -23,6 +23,9 @@ pub(crate) struct Silicon {
     pub(crate) features: u16,
     /// Width of the distributed clock.
     pub(crate) clock: ClockWidth,
+    /// Idle state of the information memory's control register: bit 5 emulated by the processor, bit 6 reads of eight
+    /// bytes, bit 7 two address bytes, bit 4 set by some controllers without a known meaning.
+    pub(crate) sii_flags: u16,
 }
 
 /// Width of a slave's distributed clock.
@@ -48,6 +51,7 @@ impl Silicon {
         ports: 0x0F,
         features: 0x01CC,
         clock: ClockWidth::Bits64,
+        sii_flags: 0x0040,
     };
 
     /// The controller of a coupler: MII, E-bus, MII.
@@ -66,6 +70,7 @@ impl Silicon {
         ports: 0x4A,
         features: 0x01FC,
         clock: ClockWidth::DelayOnly,
+        sii_flags: 0x0050,
     };
 
     /// A controller with integrated Ethernet, as on evaluation boards.
@@ -75,7 +80,26 @@ impl Silicon {
         sync_managers: 4,
         memory_kib: 4,
         ports: 0x1F,
+        sii_flags: 0x0080,
         ..Self::ET1100
+    };
+
+    /// The junction of a star: E-bus in and out, two MII ports.
+    pub(crate) const JUNCTION: Self = Self {
+        ports: 0xFA,
+        ..Self::COUPLER
+    };
+
+    /// The controller of an AKD: a 32-bit clock, and an information memory that the processor emulates.
+    pub(crate) const AKD: Self = Self {
+        identity: [0x04, 0x02, 0x43, 0x00],
+        fmmus: 3,
+        sync_managers: 4,
+        memory_kib: 4,
+        ports: 0x0F,
+        features: 0x0184,
+        clock: ClockWidth::Bits32,
+        sii_flags: 0x0020,
     };
 
     /// Content of the feature register, which depends on the clock.
@@ -83,7 +107,8 @@ impl Silicon {
         match self.clock {
             ClockWidth::None => self.features & !(FEATURE_CLOCK | FEATURE_CLOCK_64),
             ClockWidth::Bits32 => self.features & !(FEATURE_CLOCK_64 | FEATURE_ENHANCED_LINK),
-            ClockWidth::DelayOnly | ClockWidth::Bits64 => self.features,
+            ClockWidth::DelayOnly => self.features,
+            ClockWidth::Bits64 => self.features | FEATURE_CLOCK_64,
         }
     }
 }

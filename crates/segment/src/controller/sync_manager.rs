@@ -11,11 +11,14 @@ const CONTROL_MODE_MASK: u8 = 0x03;
 const CONTROL_MODE_MAILBOX: u8 = 0x02;
 const CONTROL_DIRECTION_MASK: u8 = 0x0C;
 const CONTROL_DIRECTION_BUS_WRITES: u8 = 0x04;
+const CONTROL_EVENT: u8 = 0x10;
 const CONTROL_WATCHDOG: u8 = 0x40;
 const STATUS_WRITTEN: u8 = 0x01;
 const STATUS_READ: u8 = 0x02;
 const STATUS_MAILBOX_FULL: u8 = 0x08;
 const STATUS_BUFFER_SHIFT: u8 = 4;
+const STATUS_READ_OPEN: u8 = 0x40;
+const STATUS_WRITE_OPEN: u8 = 0x80;
 /// Number of buffers, and the number that says that none was written.
 const BUFFERS: u8 = 3;
 const STATUS_NO_BUFFER_WRITTEN: u8 = BUFFERS << STATUS_BUFFER_SHIFT;
@@ -52,6 +55,8 @@ pub(crate) struct SyncManager {
     was_read: bool,
     /// Number of the buffer written last.
     buffer: u8,
+    /// Whether the slave's side has opened a buffer to write it.
+    composing: bool,
 }
 
 impl SyncManager {
@@ -137,7 +142,36 @@ impl SyncManager {
             (false, true) => self.buffer << STATUS_BUFFER_SHIFT,
             (false, false) => STATUS_NO_BUFFER_WRITTEN,
         };
-        content | flag(self.was_written, STATUS_WRITTEN) | flag(self.was_read, STATUS_READ)
+        let (reading, writing) = match self.is_bus_written() {
+            true => (false, self.open),
+            false => (self.open, self.composing),
+        };
+        content
+            | flag(self.was_written, STATUS_WRITTEN)
+            | flag(self.was_read, STATUS_READ)
+            | flag(reading, STATUS_READ_OPEN)
+            | flag(writing, STATUS_WRITE_OPEN)
+    }
+
+    /// Whether the bus asked for an event of this sync manager, and the slave's side has written or read a buffer.
+    pub(crate) fn has_event(&self) -> bool {
+        let done = match self.is_bus_written() {
+            true => self.was_read,
+            false => self.was_written,
+        };
+        self.is_active() && self.control & CONTROL_EVENT != 0 && done
+    }
+
+    /// The slave's side has read the last complete buffer.
+    pub(crate) fn note_read(&mut self) {
+        if self.ever_written && self.was_written {
+            (self.was_written, self.was_read) = (false, true);
+        }
+    }
+
+    /// Sets whether the slave's side has opened a buffer to write it.
+    pub(crate) fn set_composing(&mut self, composing: bool) {
+        self.composing = composing;
     }
 
     /// The register written by the slave's side: deactivation, and the acknowledgement of a repeat request.
@@ -211,6 +245,7 @@ impl SyncManager {
             false => 0,
         };
         self.open = false;
+        self.composing = false;
         self.full = true;
         self.ever_written = true;
         (self.was_written, self.was_read) = (true, false);
@@ -276,6 +311,7 @@ impl SyncManager {
     /// Clears buffers and flags and keeps the configuration, as on a change to INIT.
     pub(crate) fn clear(&mut self) {
         self.open = false;
+        self.composing = false;
         self.full = false;
         self.ever_written = false;
         self.written_since_look = false;
@@ -344,6 +380,36 @@ mod tests {
         assert_eq!(seen, [0x30, 0x01, 0x11, 0x21, 0x01]);
         buffers.configure([0; BLOCK]);
         assert_eq!(buffers.status(), 0x30);
+    }
+
+    #[test]
+    fn a_buffer_in_use_shows_in_the_status() {
+        let mut outputs = manager(0x64, 4);
+        assert!(outputs.bus_write(0, &[1, 2]));
+        assert_eq!(outputs.status(), 0xB0, "opened to write, nothing complete");
+        assert!(outputs.bus_write(2, &[3, 4]));
+        assert_eq!(outputs.status(), 0x01);
+        outputs.note_read();
+        assert_eq!(outputs.status(), 0x02);
+        let mut inputs = manager(0x20, 4);
+        inputs.put(&[1, 2, 3, 4]);
+        assert!(inputs.bus_read(0, &mut [0; 2]));
+        assert_eq!(inputs.status(), 0x41, "opened to read");
+        assert!(inputs.bus_read(2, &mut [0; 2]));
+        assert_eq!(inputs.status(), 0x02);
+        inputs.set_composing(true);
+        assert_eq!(inputs.status(), 0x82);
+    }
+
+    #[test]
+    fn an_event_needs_its_control_bit() {
+        for (control, event) in [(0x22, false), (0x32, true)] {
+            let mut mailbox = manager(control, 2);
+            assert!(!mailbox.has_event());
+            mailbox.put(&[1, 2]);
+            assert_eq!(mailbox.has_event(), event);
+            assert!(mailbox.bus_read(0, &mut [0; 2]) && !mailbox.has_event());
+        }
     }
 
     #[test]

@@ -5,6 +5,7 @@
 //! The default assignment of the real drive is not known; here it is 0x1702 and 0x1B01. Quick-stop deceleration
 //! 0x6085 counts position increments per second squared.
 
+use crate::controller::silicon::Silicon;
 use crate::devices::servo_device::Model;
 use crate::drive::servo::Servo;
 use crate::drive::{MODE_DIGITAL_CURRENT, MODE_DIGITAL_SPEED, Profile};
@@ -16,7 +17,7 @@ use crate::mailbox::process_data::{Pdo, PdoEntry, ProcessData};
 use DataType::{Integer8, Integer16, Integer32, OctetString, Unsigned8, Unsigned16, VisibleString};
 use Value::{Bytes, Live, Stored, Text};
 use access::{READ, READ_WRITE, RX};
-use etherpen_ethercat::wire::sii::{Identity, MailboxWindow};
+use etherpen_ethercat::wire::sii::{Identity, MailboxWindow, PROTOCOL_COE};
 
 /// Name in the information image and in object 0x1008.
 pub const NAME: &str = "AX2000-B110 EtherCAT Drive";
@@ -40,6 +41,8 @@ const WINDOWS: Windows = Windows {
     },
     outputs: 0x1100,
     inputs: 0x1140,
+    protocols: PROTOCOL_COE,
+    ..Windows::NONE
 };
 const COMMENT_BYTES_MAX: usize = 4096;
 
@@ -125,6 +128,8 @@ const OBJECTS: &[ObjectRow] = &[
 
 /// Model data of the drive.
 pub(crate) static MODEL: Model = Model {
+    silicon: Silicon::ET1100,
+    maps_once: false,
     name: NAME,
     order: ORDER,
     identity: IDENTITY,

@@ -1,4 +1,5 @@
-//! A bus coupler like Beckhoff's EK1100: no mailbox, no process data, only a place in the chain and a clock.
+//! A bus coupler like Beckhoff's EK1100, or a junction like its EK1122: no mailbox, no process data, only a place in the
+//! chain and a clock. A junction has two ports for branches, 2 and 3.
 //!
 //! The controller emulates the device: it answers state requests itself.
 
@@ -16,6 +17,10 @@ const NAME: &str = "EK1100 EtherCAT Coupler";
 const ORDER: &str = "EK1100";
 /// No process interface; device emulation, and the units of the clock powered.
 const CONFIGURATION: u16 = 0x0D00;
+const JUNCTION_NAME: &str = "EK1122 2 port EtherCAT junction";
+const JUNCTION_ORDER: &str = "EK1122";
+/// Current that a junction takes from the E-bus.
+const JUNCTION_MA: i16 = 220;
 /// Current for the E-bus, which a coupler supplies.
 const SUPPLIED_MA: i16 = -2000;
 
@@ -23,12 +28,24 @@ const SUPPLIED_MA: i16 = -2000;
 #[derive(Clone, Debug)]
 pub(crate) struct Coupler {
     parked: Option<Servo>,
+    is_junction: bool,
 }
 
 impl Coupler {
     /// A coupler, with the motor of the replaced drive.
     pub(crate) fn new(parked: Option<Servo>) -> Self {
-        Self { parked }
+        Self {
+            parked,
+            is_junction: false,
+        }
+    }
+
+    /// A junction.
+    pub(crate) fn junction() -> Self {
+        Self {
+            parked: None,
+            is_junction: true,
+        }
     }
 }
 
@@ -36,24 +53,31 @@ impl LiveObjects for Coupler {}
 
 impl Device for Coupler {
     fn image(&self) -> Vec<u8> {
+        let (product, name, order, current_ma) = match self.is_junction {
+            false => (0x044C_2C52, NAME, ORDER, SUPPLIED_MA),
+            true => (0x0462_2C52, JUNCTION_NAME, JUNCTION_ORDER, JUNCTION_MA),
+        };
         sii::image(&Description {
             identity: Identity {
                 vendor: 0x0000_0002,
-                product: 0x044C_2C52,
+                product,
                 revision: 0x0012_0000,
                 serial: 0,
             },
-            name: NAME,
-            order: ORDER,
+            name,
+            order,
             configuration: CONFIGURATION,
-            current_ma: SUPPLIED_MA,
+            current_ma,
             ports: self.silicon().ports,
             ..Description::default()
         })
     }
 
     fn silicon(&self) -> Silicon {
-        Silicon::COUPLER
+        match self.is_junction {
+            false => Silicon::COUPLER,
+            true => Silicon::JUNCTION,
+        }
     }
 
     fn has_processor(&self) -> bool {

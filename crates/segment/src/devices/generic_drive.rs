@@ -2,8 +2,10 @@
 //!
 //! Vendor and product number belong to this project, not to a manufacturer. Modes: cyclic synchronous position (8),
 //! velocity (9) and torque (10). Velocity is in the drive's velocity digits, torque in 1/1000 of the rated torque,
-//! position in increments over all turns. Objects: CiA 402; mapping: CiA 301, and 0x1C12, 0x1C13.
+//! position in increments over all turns. It keeps files, which are written in BOOT, where its mailboxes have other
+//! places and lengths. Objects: CiA 402; mapping: CiA 301, and 0x1C12, 0x1C13.
 
+use crate::controller::silicon::Silicon;
 use crate::devices::servo_device::Model;
 use crate::drive::servo::Servo;
 use crate::drive::{MODE_CYCLIC_POSITION, MODE_CYCLIC_TORQUE, MODE_CYCLIC_VELOCITY, Profile, RATED_TORQUE_MNM};
@@ -15,7 +17,7 @@ use crate::mailbox::process_data::{Pdo, PdoEntry, ProcessData};
 use DataType::{Integer8, Integer16, Integer32, Unsigned8, Unsigned16, Unsigned32, VisibleString};
 use Value::{Live, Number, Stored, Text};
 use access::{READ, READ_WRITE, RX, TX};
-use etherpen_ethercat::wire::sii::{Identity, MailboxWindow};
+use etherpen_ethercat::wire::sii::{Identity, MailboxWindow, PROTOCOL_COE, PROTOCOL_FOE};
 
 const NAME: &str = "etherpen CiA 402 drive";
 const ORDER: &str = "EP-402";
@@ -36,6 +38,15 @@ const WINDOWS: Windows = Windows {
     },
     outputs: 0x1400,
     inputs: 0x1600,
+    protocols: PROTOCOL_COE | PROTOCOL_FOE,
+    bootstrap_out: MailboxWindow {
+        start: 0x1800,
+        length: 400,
+    },
+    bootstrap_in: MailboxWindow {
+        start: 0x1A00,
+        length: 300,
+    },
 };
 /// Modes 8, 9 and 10: bits 7 to 9 of object 0x6502.
 const SUPPORTED_MODES: i64 = 0x0380;
@@ -155,6 +166,8 @@ const OBJECTS: &[ObjectRow] = &[
 
 /// Model data of the drive.
 pub(crate) static MODEL: Model = Model {
+    silicon: Silicon::ET1100,
+    maps_once: false,
     name: NAME,
     order: ORDER,
     identity: IDENTITY,
@@ -199,7 +212,8 @@ fn process_data() -> ProcessData {
     ProcessData::new(pdos, &[0x1600], &[0x1A00], 3)
 }
 
-fn get(servo: &Servo, index: u16) -> Option<i64> {
+/// Reads a live object of a CiA 402 drive.
+pub(crate) fn get(servo: &Servo, index: u16) -> Option<i64> {
     let drive = &servo.drive;
     let demand = &servo.demand;
     let shown = servo.shown();
@@ -221,7 +235,8 @@ fn get(servo: &Servo, index: u16) -> Option<i64> {
     })
 }
 
-fn set(servo: &mut Servo, index: u16, value: i64) -> Result<(), Abort> {
+/// Writes an object of a CiA 402 drive.
+pub(crate) fn set(servo: &mut Servo, index: u16, value: i64) -> Result<(), Abort> {
     match (index, value) {
         (0x6060, mode) => match i8::try_from(mode) {
             Ok(mode @ (0 | MODE_CYCLIC_POSITION | MODE_CYCLIC_VELOCITY | MODE_CYCLIC_TORQUE)) => {
@@ -238,7 +253,8 @@ fn set(servo: &mut Servo, index: u16, value: i64) -> Result<(), Abort> {
     Ok(())
 }
 
-fn set_output(servo: &mut Servo, index: u16, value: i64) {
+/// Takes an object of a CiA 402 drive from the outputs.
+pub(crate) fn set_output(servo: &mut Servo, index: u16, value: i64) {
     let demand = &mut servo.demand;
     match index {
         0x6040 => demand.control = value as u16,

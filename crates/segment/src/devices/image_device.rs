@@ -9,7 +9,7 @@ use crate::controller::silicon::Silicon;
 use crate::devices::{Device, Io, ProcessManager, ProcessManagers};
 use crate::eeprom::content::Content;
 use crate::eeprom::windows::{SyncManagerDefault, Windows};
-use crate::mailbox::dictionary::{DataType, Dictionary, ObjectRow, Value, access, record, variable};
+use crate::mailbox::dictionary::{DataType, Dictionary, Object, ObjectRow, Value, access, record, variable};
 use crate::mailbox::live_objects::LiveObjects;
 use crate::mailbox::process_data::ProcessData;
 
@@ -63,6 +63,8 @@ pub(crate) struct ImageDevice {
     managers: ProcessManagers,
     has_processor: bool,
     io: Io,
+    /// Objects beside those that follow from the image.
+    objects: Vec<Object>,
 }
 
 impl ImageDevice {
@@ -85,7 +87,13 @@ impl ImageDevice {
             managers,
             content,
             image,
+            objects: Vec::new(),
         }
+    }
+
+    /// The slave with these objects, which replace those that are the same for every slave.
+    pub(crate) fn with_objects(self, objects: Vec<Object>) -> Self {
+        Self { objects, ..self }
     }
 
     /// The slave on another controller.
@@ -136,6 +144,9 @@ fn windows(content: &Content) -> Windows {
         mailbox_in: content.fixed.mailbox_in,
         outputs: OUTPUTS_DEFAULT,
         inputs: INPUTS_DEFAULT,
+        protocols: content.fixed.protocols,
+        bootstrap_out: content.bootstrap_out,
+        bootstrap_in: content.bootstrap_in,
     };
     for manager in &content.sync_managers {
         let (start, length) = (manager.start, manager.length);
@@ -233,8 +244,11 @@ impl Device for ImageDevice {
         let mut dictionary = Dictionary::default();
         dictionary.add_table(OBJECTS);
         dictionary.add_text(0x1008, "Device name", &self.content.name);
-        dictionary.add_identity(&self.content.fixed.identity);
-        self.process_data.describe(&mut dictionary);
+        self.objects.iter().for_each(|object| dictionary.put(object.clone()));
+        let mut derived = Dictionary::default();
+        derived.add_identity(&self.content.fixed.identity);
+        self.process_data.describe(&mut derived);
+        derived.into_objects().for_each(|object| dictionary.put(object));
         dictionary
     }
 

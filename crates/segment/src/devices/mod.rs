@@ -4,6 +4,7 @@
 //! of its live objects and mapped process data, and is stepped every millisecond. All access by a master goes through
 //! the controller, the mailbox server and the object tables; no device knows the bus.
 
+mod akd;
 pub(crate) mod ax2000;
 mod coupler;
 mod generic_drive;
@@ -83,6 +84,10 @@ pub(crate) trait Device: LiveObjects + fmt::Debug + Send {
     /// Sync managers of the process data.
     fn process_managers(&self) -> ProcessManagers {
         ProcessManagers::standard(&self.windows())
+    }
+    /// Whether the device works with these process data.
+    fn accepts(&self, _process_data: &ProcessData) -> bool {
+        true
     }
     /// Objects after power-up.
     fn dictionary(&self) -> Dictionary;

@@ -3,6 +3,7 @@
 //! A drive type is a [`Model`]: its identity, objects and process data, and the behaviour of its objects. A further
 //! type needs a file with a `MODEL`, and a line in `kind.rs`.
 
+use crate::controller::silicon::Silicon;
 use crate::devices::Device;
 use crate::drive::Profile;
 use crate::drive::servo::{Emergency, Servo};
@@ -70,7 +71,10 @@ pub(crate) struct Model {
     pub(crate) order: &'static str,
     /// Identity; each drive has its own serial number.
     pub(crate) identity: Identity,
+    pub(crate) silicon: Silicon,
     pub(crate) windows: Windows,
+    /// Whether outputs that map one object twice are refused.
+    pub(crate) maps_once: bool,
     /// Details of the mailbox protocol in the information image.
     pub(crate) details: u8,
     /// Objects in addition to those of every drive.
@@ -133,6 +137,14 @@ impl Device for ServoDevice {
             ..Description::default()
         };
         sii::image(&description.with_mailbox(self.model.windows, &self.process_data()))
+    }
+
+    fn silicon(&self) -> Silicon {
+        self.model.silicon
+    }
+
+    fn accepts(&self, process_data: &ProcessData) -> bool {
+        !(self.model.maps_once && process_data.maps_output_twice())
     }
 
     fn windows(&self) -> Windows {

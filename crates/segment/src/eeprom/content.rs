@@ -7,7 +7,8 @@ use crate::eeprom::windows::SyncManagerDefault;
 use crate::mailbox::process_data::{Pdo, PdoEntry};
 use etherpen_ethercat::wire::sii::{
     CATEGORY_CLOCKS, CATEGORY_END, CATEGORY_FMMU, CATEGORY_GENERAL, CATEGORY_RX_PDO, CATEGORY_STRINGS,
-    CATEGORY_SYNC_MANAGER, CATEGORY_TX_PDO, FixedPart, PDO_MANDATORY, WORD_CATEGORIES, WORD_CHECKSUM, checksum,
+    CATEGORY_SYNC_MANAGER, CATEGORY_TX_PDO, FixedPart, MailboxWindow, PDO_MANDATORY, WORD_BOOTSTRAP_IN,
+    WORD_BOOTSTRAP_OUT, WORD_CATEGORIES, WORD_CHECKSUM, checksum,
 };
 
 /// Most categories before a chain counts as endless.
@@ -23,6 +24,8 @@ const CLOCK_UNITS: u8 = 0x0C;
 #[derive(Clone, Debug, Default)]
 pub(crate) struct Content {
     pub(crate) fixed: FixedPart,
+    pub(crate) bootstrap_out: MailboxWindow,
+    pub(crate) bootstrap_in: MailboxWindow,
     /// Whether the slave controller emulates the device: it has no processor.
     pub(crate) is_emulated: bool,
     /// Whether the units of a distributed clock are powered, or settings of a clock are listed.
@@ -41,6 +44,8 @@ impl Content {
             fixed: FixedPart::parse(image).unwrap_or_default(),
             is_emulated: configured(image, DEVICE_EMULATION),
             has_clock: configured(image, CLOCK_UNITS),
+            bootstrap_out: window(image, WORD_BOOTSTRAP_OUT),
+            bootstrap_in: window(image, WORD_BOOTSTRAP_IN),
             ..Self::default()
         };
         let (mut strings, mut name_number) = (Vec::new(), 0);
@@ -68,6 +73,20 @@ impl Content {
         let entries = pdos.flat_map(|entry| entry.pdo.mapped());
         let bits: usize = entries.map(|entry| usize::from(entry.bits)).sum();
         bits.div_ceil(8)
+    }
+}
+
+/// A mailbox in the fixed part; one of a memory that was never written is none.
+fn window(image: &[u8], word: u16) -> MailboxWindow {
+    match image
+        .get(2 * usize::from(word)..)
+        .and_then(|rest| rest.first_chunk::<4>())
+    {
+        None | Some([0xFF, 0xFF, ..]) => MailboxWindow::default(),
+        Some(&[start_low, start_high, length_low, length_high]) => MailboxWindow {
+            start: u16::from_le_bytes([start_low, start_high]),
+            length: u16::from_le_bytes([length_low, length_high]),
+        },
     }
 }
 

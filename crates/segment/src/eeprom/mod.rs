@@ -1,10 +1,12 @@
 //! The slave information memory behind registers 0x0500 to 0x050F.
 //!
 //! A command keeps the interface busy for some of the segment's time; the word address counts 16-bit words; a read
-//! returns eight bytes. While the slave's processor owns the memory, or the memory is offered to it, commands are
-//! refused. Register layout: EEPROM interface of the slave controller's register description.
+//! returns eight bytes, or four with some controllers. Where the slave's processor emulates the memory, a command waits
+//! for the processor. While the processor owns the memory (register 0x0501), or the memory is offered to it, commands
+//! are refused. Register layout: EEPROM interface of the slave controller's register description.
 
 pub(crate) mod content;
+pub(crate) mod esi;
 pub(crate) mod sii;
 pub(crate) mod windows;
 
@@ -29,6 +31,7 @@ const OFFERED: u8 = 0x01;
 const FORCED: u8 = wire::SII_FORCE;
 const WRITE_ENABLE: u16 = 0x0001;
 const READS_EIGHT_BYTES: u16 = wire::SII_READS_8_BYTES;
+const EMULATED: u16 = 0x0020;
 const COMMAND_MASK: u16 = 0x0700;
 const COMMAND_READ: u16 = wire::SII_READ;
 const COMMAND_WRITE: u16 = wire::SII_WRITE;
@@ -64,10 +67,15 @@ pub(crate) struct Eeprom {
     busy_ns: u64,
     write_enabled: bool,
     fault: SiiFault,
+    /// Idle state of the control register.
+    flags: u16,
+    /// Whether the slave's processor has the memory.
+    held: bool,
 }
 
 impl Eeprom {
-    pub(crate) fn new(image: Vec<u8>, busy_ns: u64) -> Self {
+    /// A memory whose commands take this long; `flags` are the idle state of the control register.
+    pub(crate) fn new(image: Vec<u8>, busy_ns: u64, flags: u16) -> Self {
         Self {
             image,
             pending: 0,
@@ -75,6 +83,8 @@ impl Eeprom {
             busy_ns,
             write_enabled: false,
             fault: SiiFault::Whole,
+            flags,
+            held: false,
         }
     }
 
@@ -82,8 +92,20 @@ impl Eeprom {
     pub(crate) fn reset(&mut self, registers: &mut [u8]) {
         self.pending = 0;
         self.write_enabled = false;
+        self.held = false;
         self.set_status(registers, 0);
         self.own(registers);
+    }
+
+    /// The slave's processor takes the memory, or gives it back.
+    pub(crate) fn hold(&mut self, held: bool, registers: &mut [u8]) {
+        self.held = held;
+        self.own(registers);
+    }
+
+    /// Whether the slave's processor has the memory.
+    pub(crate) fn is_held(&self) -> bool {
+        self.held
     }
 
     /// Sets or clears a fault.
@@ -108,8 +130,11 @@ impl Eeprom {
     /// Handles a write to the access registers.
     pub(crate) fn configure(&mut self, registers: &mut [u8]) {
         let config = byte(registers, CONFIG);
-        if config & FORCED != 0 && self.fault == SiiFault::Owned {
-            self.fault = SiiFault::Whole;
+        if config & FORCED != 0 {
+            self.held = false;
+            if self.fault == SiiFault::Owned {
+                self.fault = SiiFault::Whole;
+            }
         }
         self.own(registers);
     }
@@ -132,19 +157,29 @@ impl Eeprom {
         self.set_status(registers, status);
     }
 
-    /// Finishes a command whose time is over; returns true after a reload.
+    /// Finishes a command whose time is over, unless the slave's processor has to; returns true after a reload.
     pub(crate) fn advance(&mut self, registers: &mut [u8], now_ns: u64) -> bool {
+        self.flags & EMULATED == 0 && self.finish(registers, now_ns)
+    }
+
+    /// The slave's processor finishes a command of the memory that it emulates; returns true after a reload.
+    pub(crate) fn serve(&mut self, registers: &mut [u8], now_ns: u64) -> bool {
+        self.flags & EMULATED != 0 && self.finish(registers, now_ns)
+    }
+
+    fn finish(&mut self, registers: &mut [u8], now_ns: u64) -> bool {
         if self.pending == 0 || now_ns < self.due_ns || self.fault == SiiFault::Busy {
             return false;
         }
         let command = std::mem::take(&mut self.pending);
         let start = (u64::from(word(registers, ADDRESS)) | u64::from(word(registers, ADDRESS + 2)) << 16) * 2;
         let start = usize::try_from(start).unwrap_or(usize::MAX);
+        let bytes = if self.flags & READS_EIGHT_BYTES != 0 { 8 } else { 4 };
         let mut status = 0;
         match command {
             _ if self.fault == SiiFault::Acknowledge => status = ERROR_COMMAND,
             COMMAND_READ if start < self.image.len() => {
-                for (index, target) in registers.iter_mut().skip(DATA).take(8).enumerate() {
+                for (index, target) in registers.iter_mut().skip(DATA).take(bytes).enumerate() {
                     *target = self.byte(start + index);
                 }
             }
@@ -163,7 +198,8 @@ impl Eeprom {
     }
 
     fn own(&self, registers: &mut [u8]) {
-        set_byte(registers, PDI_ACCESS, u8::from(self.fault == SiiFault::Owned));
+        let owned = self.held || self.fault == SiiFault::Owned;
+        set_byte(registers, PDI_ACCESS, u8::from(owned));
     }
 
     fn byte(&self, at: usize) -> u8 {
@@ -177,7 +213,7 @@ impl Eeprom {
 
     fn set_status(&self, registers: &mut [u8], status: u16) {
         let checksum = if self.is_valid() { 0 } else { ERROR_CHECKSUM };
-        set_word(registers, CONTROL, READS_EIGHT_BYTES | checksum | status);
+        set_word(registers, CONTROL, self.flags | checksum | status);
     }
 }
 
@@ -227,7 +263,7 @@ mod tests {
 
     #[test]
     fn a_read_is_busy_for_its_time_and_gives_eight_bytes() {
-        let mut eeprom = Eeprom::new(image(), BUSY_NS);
+        let mut eeprom = Eeprom::new(image(), BUSY_NS, READS_EIGHT_BYTES);
         let mut registers = registers(COMMAND_READ, 4);
         eeprom.command(&mut registers, 1_000);
         eeprom.advance(&mut registers, BUSY_NS);
@@ -239,7 +275,7 @@ mod tests {
 
     #[test]
     fn a_read_beyond_the_memory_is_a_command_error() {
-        let mut eeprom = Eeprom::new(image(), BUSY_NS);
+        let mut eeprom = Eeprom::new(image(), BUSY_NS, READS_EIGHT_BYTES);
         for address in [32, u32::MAX] {
             let mut registers = registers(COMMAND_READ, address);
             assert_eq!(run(&mut eeprom, &mut registers), READS_EIGHT_BYTES | ERROR_COMMAND);
@@ -248,7 +284,7 @@ mod tests {
 
     #[test]
     fn a_write_needs_its_enable_bit() {
-        let mut eeprom = Eeprom::new(image(), BUSY_NS);
+        let mut eeprom = Eeprom::new(image(), BUSY_NS, READS_EIGHT_BYTES);
         for (command, stored) in [(COMMAND_WRITE, 40), (COMMAND_WRITE | WRITE_ENABLE, 0x55)] {
             let mut registers = registers(command, 20);
             registers[DATA] = 0x55;
@@ -259,7 +295,7 @@ mod tests {
 
     #[test]
     fn each_fault_shows_and_goes() {
-        let mut eeprom = Eeprom::new(image(), BUSY_NS);
+        let mut eeprom = Eeprom::new(image(), BUSY_NS, READS_EIGHT_BYTES);
         for (fault, status, first) in [
             (SiiFault::Busy, READS_EIGHT_BYTES | BUSY | COMMAND_READ, 0),
             (SiiFault::Acknowledge, READS_EIGHT_BYTES | ERROR_COMMAND, 0),
@@ -278,8 +314,38 @@ mod tests {
     }
 
     #[test]
+    fn a_small_controller_reads_four_bytes() {
+        let mut eeprom = Eeprom::new(image(), BUSY_NS, 0x0080);
+        let mut registers = registers(COMMAND_READ, 4);
+        assert_eq!(run(&mut eeprom, &mut registers), 0x0080);
+        assert_eq!(registers[DATA..DATA + 4], image()[8..12]);
+        assert_eq!(registers[DATA + 4..], [0; 4]);
+    }
+
+    #[test]
+    fn an_emulated_memory_waits_for_the_processor() {
+        let mut eeprom = Eeprom::new(image(), BUSY_NS, EMULATED);
+        let mut registers = registers(COMMAND_READ, 4);
+        assert_eq!(run(&mut eeprom, &mut registers), EMULATED | BUSY | COMMAND_READ);
+        assert!(!eeprom.serve(&mut registers, BUSY_NS));
+        assert_eq!(word(&registers, CONTROL), EMULATED);
+        assert_eq!(registers[DATA..DATA + 4], image()[8..12]);
+    }
+
+    #[test]
+    fn a_memory_that_the_processor_has_is_refused_until_it_is_given_back() {
+        let mut eeprom = Eeprom::new(image(), BUSY_NS, READS_EIGHT_BYTES);
+        for (held, status) in [(true, READS_EIGHT_BYTES | ERROR_COMMAND), (false, READS_EIGHT_BYTES)] {
+            let mut registers = registers(COMMAND_READ, 4);
+            eeprom.hold(held, &mut registers);
+            assert_eq!(registers[PDI_ACCESS], u8::from(held));
+            assert_eq!(run(&mut eeprom, &mut registers), status);
+        }
+    }
+
+    #[test]
     fn an_owned_memory_is_taken_by_force() {
-        let mut eeprom = Eeprom::new(image(), BUSY_NS);
+        let mut eeprom = Eeprom::new(image(), BUSY_NS, READS_EIGHT_BYTES);
         let mut registers = registers(COMMAND_READ, 4);
         eeprom.set_fault(SiiFault::Owned, &mut registers);
         registers[CONFIG] = FORCED;

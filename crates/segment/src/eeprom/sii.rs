@@ -6,9 +6,10 @@
 use crate::eeprom::windows::{SyncManagerDefault, Windows};
 use crate::mailbox::process_data::{Pdo, ProcessData};
 use etherpen_ethercat::wire::sii::{
-    CATEGORY_END, CATEGORY_FMMU, CATEGORY_GENERAL, CATEGORY_RX_PDO, CATEGORY_STRINGS, CATEGORY_SYNC_MANAGER,
-    CATEGORY_SYNC_UNIT, CATEGORY_TX_PDO, Identity, PROTOCOL_COE, WORD_ALIAS, WORD_CATEGORIES, WORD_CHECKSUM,
-    WORD_MAILBOX_IN, WORD_MAILBOX_OUT, WORD_PROTOCOLS, WORD_SERIAL, WORD_SIZE, WORD_VENDOR, WORD_VERSION, checksum,
+    CATEGORY_CLOCKS, CATEGORY_END, CATEGORY_FMMU, CATEGORY_GENERAL, CATEGORY_RX_PDO, CATEGORY_STRINGS,
+    CATEGORY_SYNC_MANAGER, CATEGORY_SYNC_UNIT, CATEGORY_TX_PDO, Identity, PROTOCOL_EOE, PROTOCOL_FOE, WORD_ALIAS,
+    WORD_BOOTSTRAP_IN, WORD_BOOTSTRAP_OUT, WORD_CATEGORIES, WORD_CHECKSUM, WORD_MAILBOX_IN, WORD_MAILBOX_OUT,
+    WORD_PROTOCOLS, WORD_SERIAL, WORD_SIZE, WORD_VENDOR, WORD_VERSION, checksum,
 };
 
 /// Size of the memory chip, bytes.
@@ -64,6 +65,27 @@ pub(crate) struct Description<'a> {
     pub(crate) pdos: Vec<PdoDescription>,
     /// Type of each port, as in the controller's port descriptor.
     pub(crate) ports: u8,
+    /// Settings of the distributed clock, by name.
+    pub(crate) clocks: &'a [ClockMode],
+}
+
+/// A setting of the distributed clock.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub(crate) struct ClockMode {
+    /// Name.
+    pub(crate) name: String,
+    /// Content of the activation registers 0x0980 and 0x0981.
+    pub(crate) activate: u16,
+    /// Cycle of SYNC0, ns; 0 for the cycle of the bus.
+    pub(crate) cycle_ns: u32,
+    /// Factor of the cycle of SYNC0.
+    pub(crate) factor: i16,
+    /// Shift of SYNC0, ns.
+    pub(crate) shift_ns: u32,
+    /// Factor of the cycle of SYNC1.
+    pub(crate) factor_1: i16,
+    /// Shift of SYNC1, ns.
+    pub(crate) shift_1_ns: u32,
 }
 
 impl Description<'_> {
@@ -150,14 +172,15 @@ pub(crate) fn image(description: &Description) -> Vec<u8> {
         put(&mut image, at, &number.to_le_bytes());
     }
     for (word, window) in [
+        (WORD_BOOTSTRAP_OUT, windows.bootstrap_out),
+        (WORD_BOOTSTRAP_IN, windows.bootstrap_in),
         (WORD_MAILBOX_OUT, windows.mailbox_out),
         (WORD_MAILBOX_IN, windows.mailbox_in),
     ] {
         put(&mut image, 2 * word, &window.start.to_le_bytes());
         put(&mut image, 2 * word + 2, &window.length.to_le_bytes());
     }
-    let protocols = if windows.has_mailbox() { PROTOCOL_COE } else { 0 };
-    put(&mut image, 2 * WORD_PROTOCOLS, &protocols.to_le_bytes());
+    put(&mut image, 2 * WORD_PROTOCOLS, &windows.protocols.to_le_bytes());
     let kibibits = (IMAGE_BYTES * 8 / 1024 - 1) as u16;
     put(&mut image, 2 * WORD_SIZE, &kibibits.to_le_bytes());
     put(&mut image, 2 * WORD_VERSION, &1u16.to_le_bytes());
@@ -168,7 +191,9 @@ pub(crate) fn image(description: &Description) -> Vec<u8> {
 }
 
 fn categories(image: &mut Vec<u8>, description: &Description) {
-    let texts = strings(&[description.name, description.order]);
+    let names = description.clocks.iter().map(|mode| mode.name.as_str());
+    let texts: Vec<&str> = [description.name, description.order].into_iter().chain(names).collect();
+    let texts = strings(&texts);
     category(image, CATEGORY_STRINGS, &texts);
     category(image, CATEGORY_GENERAL, &general(description));
     if description.sync_managers.is_empty() {
@@ -186,6 +211,26 @@ fn categories(image: &mut Vec<u8>, description: &Description) {
             category(image, kind, &body);
         }
     }
+    let clocks: Vec<u8> = (3..)
+        .zip(description.clocks)
+        .flat_map(|(name, mode)| clock_body(name, mode))
+        .collect();
+    if !clocks.is_empty() {
+        category(image, CATEGORY_CLOCKS, &clocks);
+    }
+}
+
+/// Layout: ETG.2010, distributed clock category.
+fn clock_body(name: u8, mode: &ClockMode) -> [u8; 24] {
+    let mut body = [0; 24];
+    put(&mut body, 0, &mode.cycle_ns.to_le_bytes());
+    put(&mut body, 4, &mode.shift_ns.to_le_bytes());
+    put(&mut body, 8, &mode.shift_1_ns.to_le_bytes());
+    put(&mut body, 12, &mode.factor_1.to_le_bytes());
+    put(&mut body, 14, &mode.activate.to_le_bytes());
+    put(&mut body, 16, &mode.factor.to_le_bytes());
+    put(&mut body, 18, &[name]);
+    body
 }
 
 fn put(image: &mut [u8], at: u16, bytes: &[u8]) {
@@ -220,7 +265,12 @@ fn general(description: &Description) -> [u8; 32] {
     } else {
         0
     };
-    put(&mut body, 0, &[2, 0, 2, 1, 0, details]);
+    let speaks = |protocol| u8::from(description.windows.protocols & protocol != 0);
+    put(
+        &mut body,
+        0,
+        &[2, 0, 2, 1, 0, details, speaks(PROTOCOL_FOE), speaks(PROTOCOL_EOE)],
+    );
     let mut ports = 0u16;
     for port in 0..4 {
         let kind = match description.ports >> (2 * port) & 3 {
@@ -269,7 +319,7 @@ fn pdo_body(description: &PdoDescription) -> Vec<u8> {
 mod tests {
     use super::*;
     use crate::mailbox::process_data::PdoEntry;
-    use etherpen_ethercat::wire::sii::{FixedPart, MailboxWindow};
+    use etherpen_ethercat::wire::sii::{FixedPart, MailboxWindow, PROTOCOL_COE};
 
     fn example() -> Vec<u8> {
         let window = |start| MailboxWindow { start, length: 512 };
@@ -283,6 +333,8 @@ mod tests {
             mailbox_in: window(0x1C00),
             outputs: 0x1100,
             inputs: 0x1140,
+            protocols: PROTOCOL_COE,
+            ..Windows::NONE
         };
         let description = Description {
             identity: Identity {

@@ -14,9 +14,31 @@ pub(crate) struct Windows {
     pub(crate) outputs: u16,
     /// Start of the inputs.
     pub(crate) inputs: u16,
+    /// Protocols of the mailbox, as in the information image.
+    pub(crate) protocols: u16,
+    /// Mailbox that the master writes in BOOT; length 0 if there is no such state.
+    pub(crate) bootstrap_out: MailboxWindow,
+    /// Mailbox that the master reads in BOOT.
+    pub(crate) bootstrap_in: MailboxWindow,
 }
 
 impl Windows {
+    /// No windows.
+    pub(crate) const NONE: Self = Self {
+        mailbox_out: MailboxWindow { start: 0, length: 0 },
+        mailbox_in: MailboxWindow { start: 0, length: 0 },
+        outputs: 0,
+        inputs: 0,
+        protocols: 0,
+        bootstrap_out: MailboxWindow { start: 0, length: 0 },
+        bootstrap_in: MailboxWindow { start: 0, length: 0 },
+    };
+
+    /// Whether the device has the state BOOT.
+    pub(crate) fn has_bootstrap(&self) -> bool {
+        self.bootstrap_out.length > 0 && self.bootstrap_in.length > 0
+    }
+
     /// Whether the device has a mailbox.
     pub(crate) fn has_mailbox(&self) -> bool {
         self.mailbox_out.length > 0 && self.mailbox_in.length > 0

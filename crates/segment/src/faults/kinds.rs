@@ -3,6 +3,7 @@
 use crate::application::AlState;
 use crate::drive::resolver::ResolverFault;
 use crate::eeprom::SiiFault;
+use crate::mailbox::foe::FileFault;
 
 /// A fault.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -39,6 +40,8 @@ pub enum Fault {
     Stall(u64),
     /// The cable behind this slave is pulled; 0 is the master's.
     Cut(usize),
+    /// The cable behind this slave is plugged in; 0 is the master's.
+    Plug(usize),
     /// All cables are plugged in.
     Join,
     /// The cable behind this slave destroys the next frames; 0 is the master's.
@@ -67,6 +70,10 @@ pub enum Fault {
     Mailbox(usize, MailStep, MailFault),
     /// A slave sends an unasked message of another protocol, an Ethernet fragment, through its mailbox.
     Ethernet(usize),
+    /// A fault of a slave's file server.
+    File(usize, FileFault),
+    /// The manners of a slave's processor change, without a restart.
+    Manner(usize, Manner),
     /// A drive faults with an error code.
     Drive(usize, u16),
     /// A drive has no mains voltage for some milliseconds.
@@ -101,6 +108,19 @@ pub enum MailFault {
     Counter,
     /// This many emergencies arrive before the answer.
     Flood(u8),
+}
+
+/// One of the manners of a slave's processor; see [`crate::SlaveOptions`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Manner {
+    /// Whether it reads the information memory on the way to PREOP.
+    ReadsSii(bool),
+    /// How long it starts after power-up, ms.
+    Boot(u64),
+    /// How long a change of state takes, ms.
+    Transition(u64),
+    /// How long the answer to a mailbox message takes, ms.
+    Mailbox(u64),
 }
 
 /// A product that can replace a slave.
@@ -160,6 +180,8 @@ impl Fault {
             | Self::Silence(slave, _)
             | Self::Mailbox(slave, ..)
             | Self::Ethernet(slave)
+            | Self::Manner(slave, _)
+            | Self::File(slave, _)
             | Self::Drive(slave, _)
             | Self::Mains(slave, _)
             | Self::Resolver(slave, ..)
@@ -172,7 +194,7 @@ impl Fault {
     /// The cable affected: the one behind this slave; 0 is the master's.
     pub(crate) fn cable(self) -> Option<usize> {
         match self {
-            Self::Cut(cable) | Self::Crc(cable, _) => Some(cable),
+            Self::Cut(cable) | Self::Plug(cable) | Self::Crc(cable, _) => Some(cable),
             _ => None,
         }
     }
@@ -197,6 +219,7 @@ impl Fault {
             Self::Reflect => "reflect",
             Self::Stall(_) => "stall",
             Self::Cut(_) => "cut",
+            Self::Plug(_) => "plug",
             Self::Join => "join",
             Self::Crc(..) => "crc",
             Self::Remove(_) => "remove",
@@ -211,6 +234,8 @@ impl Fault {
             Self::Silence(..) => "silence",
             Self::Mailbox(..) => "mailbox",
             Self::Ethernet(..) => "eoe",
+            Self::Manner(..) => "processor",
+            Self::File(..) => "foe",
             Self::Drive(..) => "fault",
             Self::Mains(..) => "mains",
             Self::Resolver(_, ResolverFault::Stuck, _) => "stuck",

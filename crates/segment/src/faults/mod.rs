@@ -11,8 +11,9 @@ pub(crate) mod kinds;
 use crate::application::AlState;
 use crate::drive::resolver::ResolverFault;
 use crate::eeprom::SiiFault;
+use crate::mailbox::foe::FileFault;
 use crate::random::Random;
-use kinds::{Fault, MailFault, MailStep, Product};
+use kinds::{Fault, MailFault, MailStep, Manner, Product};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::str::FromStr;
@@ -44,7 +45,9 @@ Faults of a frame:
 
 Faults of the chain:
   stall N             no frame gets through in either direction for N ms
-  cut K, join         the cable behind slave K is pulled (0: the master's); all cables are plugged in
+  cut K, plug K       the cable behind slave K is pulled (0: the master's), or plugged in; in a tree of slaves this
+                      is the cable that leads to slave K + 1
+  join                all cables are plugged in
   crc K N             the cable behind slave K destroys the next N frames (0: the master's)
   remove K, insert K  slave K is bypassed; it comes back
   swap K KIND         slave K is replaced: ax2000, cia402 or ek1100
@@ -61,6 +64,11 @@ Faults of a slave:
                       silent, lost (only a repeat brings the answer), counter (the answer has the last
                       one's), flood N (N emergencies come before the answer)
   eoe K               slave K sends an Ethernet fragment through its mailbox, unasked
+  foe K WHAT          its file server: busy N (N packets are answered 'busy' first), error CODE (for the next
+                      message), packet (a wrong packet number in the next answer), silent N (no answer to N messages)
+  processor K WHAT N  the processor of slave K takes N ms from now on: boot (its start after power-up),
+                      transition (a change of state) or mailbox (an answer)
+  processor K sii WORD it reads the information memory on the way to PREOP (needed), or does not (free)
   (a slave with device emulation has no processor: only power and sii mean anything to it)
 
 Faults of a drive:
@@ -147,16 +155,11 @@ impl Script {
     /// [`ScriptError`] with the line and the number of the first that does not exist.
     pub fn check(&self, slaves: usize) -> Result<(), ScriptError> {
         for (line, (_, fault)) in self.lines.iter().zip(&self.entries) {
-            let (reason, number) = match (fault.slave(), fault.cable()) {
-                (Some(slave), _) if slave > slaves => (ScriptProblem::Slave, slave),
-                (_, Some(cable)) if cable >= slaves => (ScriptProblem::Cable, cable),
-                _ => continue,
-            };
-            return Err(ScriptError {
+            fault.check(slaves).map_err(|(reason, number)| ScriptError {
                 line: *line,
                 reason,
                 word: number.to_string(),
-            });
+            })?;
         }
         Ok(())
     }
@@ -248,6 +251,26 @@ impl Words<'_> {
         }
     }
 
+    fn manner(&mut self) -> Result<Manner, ScriptError> {
+        Ok(match self.words.next().unwrap_or_default() {
+            "boot" => Manner::Boot(self.number()?),
+            "transition" => Manner::Transition(self.number()?),
+            "mailbox" => Manner::Mailbox(self.number()?),
+            "sii" => Manner::ReadsSii(self.choice(&[("needed", true), ("free", false)])?),
+            word => return Err(self.error(ScriptProblem::Fault, word)),
+        })
+    }
+
+    fn file_fault(&mut self) -> Result<FileFault, ScriptError> {
+        Ok(match self.words.next().unwrap_or_default() {
+            "busy" => FileFault::Busy(self.number()?),
+            "error" => FileFault::Error(self.number()?),
+            "packet" => FileFault::Packet,
+            "silent" => FileFault::Silent(self.number()?),
+            word => return Err(self.error(ScriptProblem::Fault, word)),
+        })
+    }
+
     fn mail_fault(&mut self) -> Result<MailFault, ScriptError> {
         Ok(match self.words.next().unwrap_or_default() {
             "abort" => MailFault::Abort(self.number()?),
@@ -329,6 +352,20 @@ impl FromStr for Fault {
     }
 }
 
+impl Fault {
+    /// Checks that the slave or the cable exists among `slaves` slaves.
+    ///
+    /// # Errors
+    /// What does not exist, and its number.
+    pub fn check(self, slaves: usize) -> Result<(), (ScriptProblem, usize)> {
+        match (self.slave(), self.cable()) {
+            (Some(slave), _) if slave > slaves => Err((ScriptProblem::Slave, slave)),
+            (_, Some(cable)) if cable >= slaves => Err((ScriptProblem::Cable, cable)),
+            _ => Ok(()),
+        }
+    }
+}
+
 fn fault(name: &str, words: &mut Words) -> Result<Fault, ScriptError> {
     Ok(match name {
         "drop" => Fault::Drop,
@@ -347,6 +384,7 @@ fn fault(name: &str, words: &mut Words) -> Result<Fault, ScriptError> {
         "reflect" => Fault::Reflect,
         "stall" => Fault::Stall(words.number()?),
         "cut" => Fault::Cut(words.number()?),
+        "plug" => Fault::Plug(words.number()?),
         "join" => Fault::Join,
         "crc" => Fault::Crc(words.number()?, words.number()?),
         "remove" => Fault::Remove(words.slave()?),
@@ -361,6 +399,8 @@ fn fault(name: &str, words: &mut Words) -> Result<Fault, ScriptError> {
         "silence" => Fault::Silence(words.slave()?, words.number()?),
         "mailbox" => Fault::Mailbox(words.slave()?, words.mail_step()?, words.mail_fault()?),
         "eoe" => Fault::Ethernet(words.slave()?),
+        "foe" => Fault::File(words.slave()?, words.file_fault()?),
+        "processor" => Fault::Manner(words.slave()?, words.manner()?),
         "fault" => Fault::Drive(words.slave()?, words.number()?),
         "mains" => Fault::Mains(words.slave()?, words.number()?),
         "stuck" => Fault::Resolver(words.slave()?, ResolverFault::Stuck, words.number()?),
@@ -561,6 +601,7 @@ mod tests {
             "frame 1 vlan",
             "frame 1 reflect",
             "ms 1 crc 0 2",
+            "ms 1 plug 0",
             "ms 1 swap 1 cia402",
             "ms 1 fall 1 init 0x1D",
             "ms 1 refuse 1 safeop 0x1D",
@@ -572,6 +613,10 @@ mod tests {
             "ms 1 mailbox 1 1 counter",
             "ms 1 mailbox 1 1 flood 5",
             "ms 1 eoe 1",
+            "ms 1 foe 1 busy 3",
+            "ms 1 foe 1 error 0x8003",
+            "ms 1 processor 1 boot 500",
+            "ms 1 processor 1 sii needed",
             "ms 1 stuck 1 20",
             "ms 1 slip 1 90 20",
             "ms 1 jump 1 -2000",

@@ -17,8 +17,9 @@ const SDO_HEADER: usize = 8;
 const SEGMENT_HEADER: usize = 1;
 const SEGMENT_DATA_MIN: usize = 7;
 const TYPE_ERROR: u8 = 0;
-const TYPE_ETHERNET: u8 = 2;
-const TYPE_COE: u8 = 3;
+pub(crate) const TYPE_ETHERNET: u8 = 2;
+pub(crate) const TYPE_COE: u8 = 3;
+pub(crate) const TYPE_FILE: u8 = 4;
 const SERVICE_EMERGENCY: u8 = 1;
 const SERVICE_SDO_REQUEST: u8 = 2;
 const SERVICE_SDO_RESPONSE: u8 = 3;
@@ -101,22 +102,40 @@ pub(crate) struct MailboxServer {
 }
 
 impl MailboxServer {
-    /// Handles one message of the master; `capacity` is the length of the mailbox for the answers.
-    pub(crate) fn receive(&mut self, message: &[u8], capacity: usize, dictionary: &mut impl ObjectServer) {
+    /// Handles one message of the master; `capacity` is the length of the mailbox for the answers. Returns protocol and
+    /// body of a message of another protocol, which the caller answers or refuses.
+    pub(crate) fn receive<'m>(
+        &mut self,
+        message: &'m [u8],
+        capacity: usize,
+        dictionary: &mut impl ObjectServer,
+    ) -> Option<(u8, &'m [u8])> {
         let Some((&[length_low, length_high, _, _, _, kind], rest)) = message.split_first_chunk() else {
-            return self.refuse(ERROR_SHORT);
+            self.refuse(ERROR_SHORT);
+            return None;
         };
         let counter = kind >> 4 & 0x07;
         if counter != 0 && counter == self.received_counter {
-            return;
+            return None;
         }
         self.received_counter = counter;
         let Some(body) = rest.get(..usize::from(u16::from_le_bytes([length_low, length_high]))) else {
-            return self.refuse(ERROR_LENGTH);
+            self.refuse(ERROR_LENGTH);
+            return None;
         };
-        if kind & 0x0F != TYPE_COE {
-            return self.refuse(ERROR_PROTOCOL);
+        match kind & 0x0F {
+            TYPE_COE => self.receive_coe(body, capacity, dictionary),
+            other => return Some((other, body)),
         }
+        None
+    }
+
+    /// Refuses a message whose protocol the slave does not speak.
+    pub(crate) fn refuse_protocol(&mut self) {
+        self.refuse(ERROR_PROTOCOL);
+    }
+
+    fn receive_coe(&mut self, body: &[u8], capacity: usize, dictionary: &mut impl ObjectServer) {
         match body.split_first_chunk::<COE_HEADER>() {
             Some(([_, service], sdo)) if service >> 4 == SERVICE_SDO_REQUEST => {
                 self.sdo(sdo, capacity, dictionary);
@@ -353,7 +372,8 @@ impl MailboxServer {
         self.send(TYPE_ERROR, &[1, 0, low, high]);
     }
 
-    fn send(&mut self, kind: u8, body: &[u8]) {
+    /// Queues a message of a protocol.
+    pub(crate) fn send(&mut self, kind: u8, body: &[u8]) {
         self.counter = self.counter % 7 + 1;
         let mut message = Vec::from((body.len() as u16).to_le_bytes());
         message.extend_from_slice(&[0, 0, 0, kind | self.counter << 4]);
@@ -363,6 +383,11 @@ impl MailboxServer {
         }
         self.queue.push_back(message);
     }
+}
+
+/// Protocol of a mailbox message.
+pub(crate) fn protocol_of(message: &[u8]) -> Option<u8> {
+    message.get(5).map(|kind| kind & 0x0F)
 }
 
 /// Index and sub-index of an SDO request in a mailbox message.
@@ -404,7 +429,9 @@ mod tests {
     }
 
     fn receive(server: &mut MailboxServer, dictionary: &mut Counter, message: &[u8]) -> Option<Vec<u8>> {
-        server.receive(message, 64, dictionary);
+        if server.receive(message, 64, dictionary).is_some() {
+            server.refuse_protocol();
+        }
         server.next()
     }
 

@@ -13,6 +13,8 @@ use etherpen_ethercat::wire::sii::Identity;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u16)]
 pub(crate) enum DataType {
+    /// A bit.
+    Boolean = 0x01,
     /// 8 bits, signed.
     Integer8 = 0x02,
     /// 16 bits, signed.
@@ -25,19 +27,28 @@ pub(crate) enum DataType {
     Unsigned16 = 0x06,
     /// 32 bits.
     Unsigned32 = 0x07,
+    /// Floating point, 32 bits.
+    Real32 = 0x08,
     /// Characters.
     VisibleString = 0x09,
     /// Bytes.
     OctetString = 0x0A,
+    /// Floating point, 64 bits.
+    Real64 = 0x11,
+    /// 64 bits, signed.
+    Integer64 = 0x15,
+    /// 64 bits.
+    Unsigned64 = 0x1B,
 }
 
 impl DataType {
     /// Length of a value, bytes; `None` if it varies.
     pub(crate) fn bytes(self) -> Option<usize> {
         match self {
-            Self::Integer8 | Self::Unsigned8 => Some(1),
+            Self::Boolean | Self::Integer8 | Self::Unsigned8 => Some(1),
             Self::Integer16 | Self::Unsigned16 => Some(2),
-            Self::Integer32 | Self::Unsigned32 => Some(4),
+            Self::Integer32 | Self::Unsigned32 | Self::Real32 => Some(4),
+            Self::Integer64 | Self::Unsigned64 | Self::Real64 => Some(8),
             Self::VisibleString | Self::OctetString => None,
         }
     }
@@ -148,7 +159,7 @@ pub(crate) const fn record(index: u16, name: &'static str, entries: &'static [En
 }
 
 /// Where the value of an entry is.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Content {
     /// A constant.
     Fixed(Vec<u8>),
@@ -175,7 +186,7 @@ pub(crate) enum Content {
 }
 
 /// One entry of a dictionary.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct ObjectEntry {
     /// Sub-index.
     pub(crate) sub: u8,
@@ -190,7 +201,7 @@ pub(crate) struct ObjectEntry {
 }
 
 /// One object of a dictionary.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Object {
     /// Index.
     pub(crate) index: u16,
@@ -336,6 +347,24 @@ impl Dictionary {
         };
         let at = self.objects.partition_point(|other| other.index < index);
         self.objects.insert(at, object);
+    }
+
+    /// Adds an object, or replaces the one with its index.
+    pub(crate) fn put(&mut self, object: Object) {
+        match self.objects.binary_search_by_key(&object.index, |other| other.index) {
+            Ok(at) => self
+                .objects
+                .iter_mut()
+                .skip(at)
+                .take(1)
+                .for_each(|old| *old = object.clone()),
+            Err(at) => self.objects.insert(at, object),
+        }
+    }
+
+    /// The objects, in order.
+    pub(crate) fn into_objects(self) -> impl Iterator<Item = Object> {
+        self.objects.into_iter()
     }
 
     /// All objects, in order.

@@ -126,7 +126,7 @@ impl Objects<'_> {
 
     fn check_write(&self, entry: &ObjectEntry) -> Result<(), Abort> {
         let bit = match self.state {
-            AlState::Init | AlState::PreOperational => 0x08,
+            AlState::Init | AlState::PreOperational | AlState::Bootstrap => 0x08,
             AlState::SafeOperational => 0x10,
             AlState::Operational => 0x20,
         };

@@ -129,6 +129,17 @@ impl ProcessData {
         listed(&self.outputs) || listed(&self.inputs)
     }
 
+    /// Whether the assigned outputs have one object more than once.
+    pub(crate) fn maps_output_twice(&self) -> bool {
+        let entries: Vec<PdoEntry> = self.entries(&self.outputs).filter(|entry| entry.index != 0).collect();
+        let same = |one: &PdoEntry, other: &PdoEntry| (one.index, one.sub) == (other.index, other.sub);
+        (1..entries.len()).any(|at| {
+            let (before, rest) = entries.split_at(at);
+            rest.first()
+                .is_some_and(|entry| before.iter().any(|other| same(entry, other)))
+        })
+    }
+
     /// Length of outputs and inputs, bytes.
     pub(crate) fn bytes(&self) -> (usize, usize) {
         (self.direction_bytes(&self.outputs), self.direction_bytes(&self.inputs))

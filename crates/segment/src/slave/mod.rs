@@ -11,21 +11,24 @@ use crate::application::{AlState, Application, code};
 use crate::controller::clock::SyncState;
 use crate::controller::datagram::Datagram;
 use crate::controller::silicon::ClockWidth;
-use crate::controller::{Controller, Nature};
+use crate::controller::{Controller, Nature, PORTS};
 use crate::devices::kind::SlaveKind;
 use crate::devices::{Device, ProcessManagers};
 use crate::drive::servo::Servo;
 use crate::drive::{Drive, DriveOptions};
 use crate::eeprom::SiiFault;
 use crate::eeprom::sii::Label;
-use crate::faults::kinds::{MailFault, MailStep, Product};
+use crate::faults::kinds::{MailFault, MailStep, Manner, Product};
 use crate::mailbox::coe::MailboxServer;
 use crate::mailbox::dictionary::Dictionary;
+use crate::mailbox::foe::FileServer;
 use crate::mailbox::process_data::ProcessData;
 use options::{PlaceOptions, SlaveOptions};
 
 const MAILBOX_OUT_MANAGER: usize = 0;
 const MAILBOX_IN_MANAGER: usize = 1;
+/// How long a controller that was reset loads its configuration, ms.
+const RESET_MS: u64 = 100;
 /// How long the drive's power stage keeps running without its processor, ms; then it stops the motor.
 const POWER_STAGE_WATCHDOG_MS: u64 = 10;
 
@@ -57,16 +60,24 @@ pub(crate) struct Slave {
     hung_for_ms: u64,
     outputs_received: bool,
     has_outputs: bool,
+    files: FileServer,
+    /// Remaining time to the announcement of an Ethernet address, ms.
+    announce_ms: Option<u64>,
 }
 
 impl Slave {
-    /// A slave after power-up, with a clock of this width unless its place has another.
+    /// A slave after power-up, with a clock of this width unless its place or its kind has another.
     pub(crate) fn new(mut device: Box<dyn Device>, place: PlaceOptions, width: ClockWidth, nature: Nature) -> Self {
+        let lock_ns = place
+            .lock_ms
+            .map_or(nature.lock_ns, |ms| 1_000_000 * i64::from(ms.max(1)));
+        let nature = Nature { lock_ns, ..nature };
         let mut silicon = device.silicon();
-        let width = place.clock.unwrap_or(width);
-        if silicon.clock.has_system_time() {
-            silicon.clock = width;
-        }
+        silicon.clock = match (silicon.clock, place.clock) {
+            (ClockWidth::Bits64, None) => width,
+            (own, Some(width)) if own.has_system_time() => width,
+            (own, _) => own,
+        };
         place.serial.iter().for_each(|serial| device.set_serial(*serial));
         let mut image = device.image();
         let label = Label {
@@ -75,6 +86,7 @@ impl Slave {
             identifies: place.identification.is_some(),
         };
         label.stick(&mut image);
+        let device_writes_in_bootstrap = device.windows().has_bootstrap();
         let mut slave = Self {
             controller: Controller::new(silicon, image, nature),
             application: Application::with_number(place.identification),
@@ -98,6 +110,8 @@ impl Slave {
             hung_for_ms: 0,
             outputs_received: false,
             has_outputs: false,
+            files: FileServer::new(place.password, device_writes_in_bootstrap),
+            announce_ms: None,
         };
         slave.controller.set_al_status(AlState::Init as u16, 0);
         slave.activate_sync_managers();
@@ -169,9 +183,9 @@ impl Slave {
         self.refusals.push((state, code));
     }
 
-    /// Handles the arrival of a frame that will come back from the chain behind at `back_ns`; earlier SYNC0 pulses take
-    /// effect first.
-    pub(crate) fn begin_frame(&mut self, arrival_ns: u64, back_ns: Option<u64>) {
+    /// Handles the arrival of a frame that will come back to the ports at `back_ns`; earlier SYNC0 pulses take effect
+    /// first.
+    pub(crate) fn begin_frame(&mut self, arrival_ns: u64, back_ns: [Option<u64>; PORTS]) {
         self.controller.begin_frame(arrival_ns, back_ns);
         self.obey_pulses();
     }
@@ -200,6 +214,26 @@ impl Slave {
         self.controller.pass(datagram);
     }
 
+    /// Whether frames leave and enter through a port.
+    pub(crate) fn is_open(&self, port: u8) -> bool {
+        self.controller.is_open(port)
+    }
+
+    /// Whether frames of other protocols pass.
+    pub(crate) fn passes_foreign_frames(&self) -> bool {
+        self.controller.passes_foreign_frames()
+    }
+
+    /// Changes one of the processor's manners, without a restart.
+    pub(crate) fn set_manner(&mut self, manner: Manner) {
+        match manner {
+            Manner::ReadsSii(reads) => self.options.reads_sii = reads,
+            Manner::Boot(ms) => self.options.boot_ms = ms,
+            Manner::Transition(ms) => self.options.transition_ms = ms,
+            Manner::Mailbox(ms) => self.options.mailbox_ms = ms,
+        }
+    }
+
     /// Sets the link states of the ports.
     pub(crate) fn set_links(&mut self, links: u8) {
         self.controller.set_links(links);
@@ -213,6 +247,8 @@ impl Slave {
         self.outputs_received = false;
         self.has_outputs = false;
         self.transition = None;
+        self.files.end();
+        self.announce_ms = None;
         self.answer_ms = 0;
         self.controller.power_up();
         self.hung_ms = 0;
@@ -241,6 +277,10 @@ impl Slave {
             return;
         }
         self.controller.advance(now_ns);
+        if self.controller.take_reset() {
+            self.power_cycle(RESET_MS);
+            return;
+        }
         if self.is_alone() {
             self.watch_alone();
             self.device.step(false);
@@ -254,6 +294,7 @@ impl Slave {
             }
             return;
         }
+        self.controller.serve_sii();
         self.serve_mailbox();
         self.watch();
         self.change_state();
@@ -329,8 +370,10 @@ impl Slave {
             if after < AlState::SafeOperational || before < AlState::SafeOperational {
                 self.outputs_received = false;
             }
-            if after == AlState::Init {
+            if after == AlState::Init || after == AlState::Bootstrap {
                 self.mailbox = MailboxServer::default();
+                self.files.end();
+                self.announce_ms = None;
             }
         }
         self.show_state();
@@ -342,6 +385,10 @@ impl Slave {
             Some((request, left_ms)) => (request, left_ms.saturating_sub(1)),
             None => (self.controller.take_al_request()?, self.options.transition_ms),
         };
+        let begins = self.options.reads_sii && self.controller.offers_sii() && left_ms == self.options.transition_ms;
+        if left_ms == 0 || begins {
+            self.controller.hold_sii(begins && left_ms > 0);
+        }
         if left_ms > 0 {
             self.transition = Some((request, left_ms));
             return None;

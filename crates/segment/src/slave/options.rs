@@ -28,8 +28,13 @@ pub struct PlaceOptions {
     /// Number set with the switches of the device. A master asks for it with bit 5 of AL control; bit 5 of AL status
     /// then says that register 0x0134 is this number. `None` for a device without switches.
     pub identification: Option<u16>,
-    /// Width of the clock; `None` for the segment's width. No effect on a kind without a clock.
+    /// Width of the clock; `None` for the kind's, or else the segment's width. No effect on a kind without a clock.
     pub clock: Option<ClockWidth>,
+    /// Password of the files (FoE); 0 for none. No effect on a kind without files.
+    pub password: u32,
+    /// Time constant in which the clock follows the reference clock, ms. `None` for 10 ms, which locks within half a
+    /// second; the loop of real controllers takes seconds. No effect on a kind without a clock.
+    pub lock_ms: Option<u32>,
     /// The processor.
     pub processor: SlaveOptions,
 }

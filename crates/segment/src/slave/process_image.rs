@@ -88,9 +88,17 @@ impl Slave {
 
     /// Passes the outputs to the device; returns false without valid outputs.
     pub(super) fn take_outputs(&mut self) -> bool {
-        if self.application.state() != AlState::Operational {
+        if self.application.state() != AlState::Operational || !self.read_outputs() {
             return false;
         }
+        for manager in &self.managers.outputs {
+            self.controller
+                .with_sync_manager(manager.number, |unit| unit.note_read());
+        }
+        true
+    }
+
+    fn read_outputs(&mut self) -> bool {
         let controller = &self.controller;
         let buffer = |manager: &ProcessManager| controller.sync_manager(manager.number)?.outputs();
         if let Some(io) = self.device.io_mut() {
@@ -203,11 +211,16 @@ impl Slave {
         Readiness {
             sync_valid: sync != SyncState::Invalid,
             synchronous: matches!(sync, SyncState::Off | SyncState::Running),
+            bootstrap: windows.has_bootstrap().then(|| {
+                is_mailbox(MAILBOX_OUT_MANAGER, windows.bootstrap_out, true)
+                    && is_mailbox(MAILBOX_IN_MANAGER, windows.bootstrap_in, false)
+            }),
             mailbox: !windows.has_mailbox()
                 || is_mailbox(MAILBOX_OUT_MANAGER, windows.mailbox_out, true)
                     && is_mailbox(MAILBOX_IN_MANAGER, windows.mailbox_in, false),
-            information: !self.options.reads_sii || self.controller.offers_sii(),
-            outputs: outputs.iter().all(|manager| is_process_data(manager, assigned.0, true)),
+            information: !self.options.reads_sii || self.controller.offers_sii() || self.controller.holds_sii(),
+            outputs: outputs.iter().all(|manager| is_process_data(manager, assigned.0, true))
+                && self.device.accepts(&self.process_data),
             inputs: inputs.iter().all(|manager| is_process_data(manager, assigned.1, false)),
             outputs_received: self.outputs_received || no_outputs,
         }

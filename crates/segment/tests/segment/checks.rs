@@ -240,8 +240,9 @@ fn a_blank_board_answers_registers_and_disturbs_nobody() {
     assert_eq!(rig.read(STATION, 0x0110, 1)[0] & 3, 0, "nothing was loaded");
     for word in [0x00, 0x08, 0x18, 0x40] {
         rig.write(STATION, 0x0502, &[0x00, 0x01, word, 0, 0, 0]);
-        assert_eq!(rig.read(STATION, 0x0502, 2), [0x40, 0x08], "a wrong checksum");
-        assert_eq!(rig.read(STATION, 0x0508, 8), [0xFF; 8]);
+        assert_eq!(rig.read(STATION, 0x0502, 2), [0x80, 0x08], "a wrong checksum");
+        let data = rig.read(STATION, 0x0508, 8);
+        assert_eq!(data, [0xFF, 0xFF, 0xFF, 0xFF, 0, 0, 0, 0], "four bytes a read");
     }
     assert_eq!(rig.al_status(STATION), (1, 0));
     assert_eq!(rig.ask(BWR, 0, 0x0120, &[0x11, 0]).1, 4);

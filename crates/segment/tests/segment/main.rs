@@ -3,10 +3,12 @@
 mod checks;
 mod devices;
 mod faults;
+mod files;
 mod frames;
 mod identity;
 mod replay;
 mod terminals;
+mod wiring;
 
 use etherpen_segment::rig::Rig;
 use etherpen_segment::{DriveOptions, Flywheel, MotorState, Segment, SegmentOptions, SlaveKind};
