@@ -95,6 +95,8 @@ pub(crate) struct Controller {
     now_ns: u64,
     back_ns: Option<u64>,
     processor_alive: bool,
+    /// Whether it takes no process data.
+    deaf: bool,
     /// Whether the data-link status has changed since the bus read it.
     link_event: bool,
     al_request: Option<u16>,
@@ -113,6 +115,7 @@ impl Controller {
             now_ns: 0,
             back_ns: None,
             processor_alive: true,
+            deaf: false,
             link_event: true,
             al_request: None,
         };
@@ -242,6 +245,11 @@ impl Controller {
         if let Some(registers) = self.memory.get_mut(eeprom::BASE..eeprom::BASE + eeprom::LENGTH) {
             self.eeprom.set_fault(fault, registers);
         }
+    }
+
+    /// Sets whether it takes no process data: writes to logical addresses have no effect and do not count.
+    pub(crate) fn set_deaf(&mut self, deaf: bool) {
+        self.deaf = deaf;
     }
 
     /// Counts a damaged frame at port 0; `forwarded` if it was damaged before the cable at this port.
