@@ -4,6 +4,7 @@
 
 use crate::control::feedback::Implausible;
 use crate::ethercat::clock::steering::ClockFault;
+use crate::ethercat::error::IdentityProperty;
 use crate::ethercat::port_state::PortState;
 use serde::{Deserialize, Serialize};
 
@@ -173,6 +174,19 @@ pub enum Fault {
         slave: u8,
         /// Expiries of the watchdog since the slave was brought up.
         expiries: u8,
+    },
+    /// A slave is not the one that belongs to its place: cables or drives were exchanged.
+    WrongSlave {
+        /// Position in the chain, from 0.
+        slave: u8,
+        /// The property in which it differs.
+        property: IdentityProperty,
+        /// Value expected.
+        expected: u32,
+        /// Value found.
+        found: u32,
+        /// Where the expected slave is, or where the one found belongs, if that is known: position in the chain, from 0.
+        other: Option<u8>,
     },
 }
 

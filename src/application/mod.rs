@@ -146,7 +146,12 @@ impl Application {
             Mode::Startup | Mode::DrivesOff => true,
             Mode::Fault => matches!(
                 self.fault,
-                Some(Fault::UnexpectedBus { .. } | Fault::BusConfiguration { .. } | Fault::OtherProduct { .. })
+                Some(
+                    Fault::UnexpectedBus { .. }
+                        | Fault::BusConfiguration { .. }
+                        | Fault::OtherProduct { .. }
+                        | Fault::WrongSlave { .. }
+                )
             ),
             _ => false,
         };

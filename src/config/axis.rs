@@ -2,12 +2,25 @@
 
 pub use crate::drives::AxisMode;
 use crate::drives::DriveSettings;
+use crate::ethercat::driver::ExpectedIdentity;
 use serde::{Deserialize, Serialize};
 
 /// Configuration of one axis: drive scaling, reference mark, controllers and supervision.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct Axis {
+    /// Alias of the axis's drive; 0 accepts any.
+    pub alias: u16,
+    /// Number set with the identification switches of the axis's drive; 0 accepts any.
+    pub switch: u16,
+    /// Serial number of the axis's drive; 0 accepts any.
+    pub serial: u32,
+    /// Vendor number of the axis's drive; 0 accepts any.
+    pub vendor: u32,
+    /// Product code of the axis's drive; 0 accepts any.
+    pub product: u32,
+    /// Revision of the axis's drive; 0 accepts any.
+    pub revision: u32,
     /// Whether the drive is commanded by velocity or by torque.
     pub mode: AxisMode,
     /// Motor revolutions for one revolution of the joint; negative where the motor turns the other way.
@@ -61,9 +74,22 @@ pub struct Axis {
 }
 
 impl Axis {
+    /// Identity required of the axis's drive.
+    pub fn identity(&self) -> ExpectedIdentity {
+        ExpectedIdentity {
+            alias: self.alias,
+            switch: self.switch,
+            serial: self.serial,
+            vendor: self.vendor,
+            product: self.product,
+            revision: self.revision,
+        }
+    }
+
     /// Settings of the axis's drive, and the scale of its values.
     pub fn drive(&self) -> DriveSettings {
         DriveSettings {
+            identity: self.identity(),
             mode: self.mode,
             gear: self.gear,
             increments_per_revolution: self.increments_per_revolution,
@@ -79,6 +105,12 @@ impl Axis {
 impl Default for Axis {
     fn default() -> Self {
         Self {
+            alias: 0,
+            switch: 0,
+            serial: 0,
+            vendor: 0,
+            product: 0,
+            revision: 0,
             mode: AxisMode::Velocity,
             gear: 12.0,
             increments_per_revolution: 1 << 20,

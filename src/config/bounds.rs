@@ -55,7 +55,36 @@ pub const QUICK_STOP_MAX_MS: u32 = 950;
 /// Rows of the bus in the table of bounds.
 const BUS_BOUNDS: usize = 9;
 
+/// Rows of an axis in the table of bounds.
+const AXIS_BOUNDS: usize = 29;
+
 impl Axis {
+    /// Bounds of the identity. An axis that tells its drive by alias, switches or serial number needs one that no other
+    /// axis expects: the first of these that is set has no allowed value when `same` expects the same drive.
+    fn identity_bounds(&self, same: Option<&Self>) -> [Bound; 6] {
+        let same = same.filter(|same| same.identity() == self.identity());
+        let mut is_taken = same.is_some();
+        let mut own = |name, value: u32, high: u32| {
+            let refused = is_taken && value != 0;
+            is_taken &= !refused;
+            bound(name, value.into(), 0.0, if refused { 0.0 } else { high.into() })
+        };
+        let [alias, switch, serial] = [
+            own("axes.alias", self.alias.into(), u16::MAX.into()),
+            own("axes.switch", self.switch.into(), u16::MAX.into()),
+            own("axes.serial", self.serial, u32::MAX),
+        ];
+        let any = |name, value: u32| bound(name, value.into(), 0.0, u32::MAX.into());
+        [
+            any("axes.vendor", self.vendor),
+            any("axes.product", self.product),
+            any("axes.revision", self.revision),
+            alias,
+            switch,
+            serial,
+        ]
+    }
+
     /// Weakest quick stop that ends within [`QUICK_STOP_MAX_MS`], rad/s2, rounded up to hundredths. The highest speed
     /// of the axis is its speed limit plus the correction that the controller adds before the following error becomes a
     /// fault, at most the output limit.
@@ -66,8 +95,15 @@ impl Axis {
         libm::ceil(needed * 100.0) / 100.0
     }
 
-    fn scalars(&self, joint_speed_rad_s: f64) -> [Bound; 23] {
+    fn scalars(&self, joint_speed_rad_s: f64) -> [Bound; AXIS_BOUNDS] {
+        let [vendor, product, revision, alias, switch, serial] = self.identity_bounds(None);
         [
+            vendor,
+            product,
+            revision,
+            alias,
+            switch,
+            serial,
             bound("axes.gear", self.gear.abs(), 0.1, 1000.0),
             bound(
                 "axes.increments_per_revolution",
@@ -149,6 +185,9 @@ impl Config {
         check_rows(&self.scalars(), None)?;
         for (axis, (values, speed_rad_s)) in (0u8..).zip(self.axes.iter().zip(self.motion.joint_speed_rad_s)) {
             check_rows(&values.scalars(speed_rad_s), Some(axis))?;
+            for other in self.axes.iter().take(axis.into()) {
+                check_rows(&values.identity_bounds(Some(other)), Some(axis))?;
+            }
         }
         Ok(())
     }

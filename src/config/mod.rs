@@ -157,6 +157,27 @@ mod tests {
     }
 
     #[test]
+    fn the_longest_identities_fit_a_message_and_two_axes_never_expect_the_same_drive() {
+        let mut config = Config::default();
+        for (number, axis) in (0_u32..).zip(&mut config.axes) {
+            (axis.vendor, axis.product, axis.revision) = (u32::MAX, u32::MAX, u32::MAX);
+            (axis.alias, axis.switch, axis.serial) = (u16::MAX, u16::MAX, u32::MAX - number);
+        }
+        assert_eq!(config.check(), Ok(()));
+        assert!(config.hash().is_some());
+        config.axes[3].serial = config.axes[1].serial;
+        let error = config.check().unwrap_err();
+        assert_eq!((error.field.name(), error.field.axis), ("axes.alias", Some(3)));
+        (config.axes[1].alias, config.axes[3].alias) = (0, 0);
+        (config.axes[1].switch, config.axes[3].switch) = (0, 0);
+        let error = config.check().unwrap_err();
+        assert_eq!((error.field.name(), error.field.axis), ("axes.serial", Some(3)));
+        assert_eq!((error.low, error.high), (0.0, 0.0));
+        (config.axes[1].serial, config.axes[3].serial) = (0, 0);
+        assert_eq!(config.check(), Ok(()), "a product alone does not tell two drives apart");
+    }
+
+    #[test]
     fn values_that_are_not_numbers_are_refused_wherever_they_stand() {
         let mut config = Config::default();
         config.motion.joint_speed_rad_s[3] = f64::NAN;

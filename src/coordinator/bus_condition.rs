@@ -4,7 +4,8 @@
 //! drives out of operation always has a condition.
 
 use crate::application::{BusCondition, Fault};
-use crate::ethercat::error::BusError;
+use crate::ethercat::configure::discovery::STATION_BASE;
+use crate::ethercat::error::{BusError, IdentityProperty};
 use crate::ethercat::event::{BusEvent, Step};
 
 /// Bus condition for the operating modes; `None` if the event does not affect them.
@@ -44,6 +45,29 @@ fn refusal(position: Option<u8>, step: Step, error: BusError) -> Fault {
             slave,
             expected,
             found: actual,
+        },
+        (
+            Some(slave),
+            _,
+            BusError::WrongSlave {
+                property,
+                expected,
+                actual,
+                other,
+            },
+        ) => Fault::WrongSlave {
+            slave,
+            property,
+            expected,
+            found: actual,
+            other,
+        },
+        (Some(slave), Step::Locate, BusError::Station { expected, actual }) => Fault::WrongSlave {
+            slave,
+            property: IdentityProperty::Station,
+            expected: expected.into(),
+            found: actual.into(),
+            other: actual.checked_sub(STATION_BASE).and_then(|place| place.try_into().ok()),
         },
         (_, _, BusError::NoLink { port }) => Fault::NoLink { port },
         (_, _, BusError::MemberCount { expected, actual }) => Fault::UnexpectedBus {

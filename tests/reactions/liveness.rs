@@ -24,7 +24,7 @@ pub(crate) fn with(clocks: bool) -> Robot {
 }
 
 /// Acknowledges once and waits for what follows: the fault that remains, if one does.
-fn acknowledge(robot: &mut Robot) -> Option<Fault> {
+pub(crate) fn acknowledge(robot: &mut Robot) -> Option<Fault> {
     for _ in 0..ANSWER_MAX_MS {
         match robot.command(Command::Acknowledge) {
             Ok(()) => break,

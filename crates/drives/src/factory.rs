@@ -4,12 +4,13 @@
 //! as the generic type. All other slaves get no driver: they are reported with their identity, carry no process data
 //! and affect nothing else. A new drive type is a line in [`DRIVES`].
 //!
-//! Invariant: only vendor and product, or the device type, decide; revision and serial number do not.
+//! Invariant: only vendor and product, or the device type, decide on the type; revision, serial number, alias and switches
+//! decide whether a drive may be used as the axis that expects them ([`DriveSettings::identity`]).
 
 use crate::layout::ProcessLayout;
 use crate::{DriveKind, DriveSettings, Recognition, STATUS_WORD, akd, ax2000, configuration, generic};
 use etherpen_ethercat::configure::PreOperational;
-use etherpen_ethercat::driver::{DeviceDescription, ProcessData, SlaveFactory};
+use etherpen_ethercat::driver::{DeviceDescription, ExpectedIdentity, ProcessData, SlaveFactory};
 use etherpen_ethercat::error::BusError;
 use etherpen_ethercat::wire::sii::Identity;
 
@@ -67,6 +68,11 @@ where
             assign_activate: device.clocks.assign_activate,
             status: Some(STATUS_WORD),
         }
+    }
+
+    fn expected_identity(settings: &[DriveSettings; MEMBERS], member: u8) -> ExpectedIdentity {
+        let settings = settings.get(usize::from(member));
+        settings.map_or(ExpectedIdentity::ANY, |settings| settings.identity)
     }
 
     async fn configure<const MESSAGE: usize>(

@@ -36,7 +36,7 @@ pub use servo_axis::{AxisLimits, ServoAxis};
 
 use cia402::{ControlWord, StatusWord};
 use core::f64::consts::TAU;
-use etherpen_ethercat::driver::{PdoChoice, Setting, Windows};
+use etherpen_ethercat::driver::{ExpectedIdentity, PdoChoice, Setting, Windows};
 use etherpen_ethercat::wire::coe::Object;
 use heapless::Vec;
 
@@ -76,6 +76,8 @@ pub enum AxisMode {
 /// Settings of a drive, and the scale of its values.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct DriveSettings {
+    /// Identity required of the drive.
+    pub identity: ExpectedIdentity,
     /// Kind of demand.
     pub mode: AxisMode,
     /// Motor revolutions for one revolution of the joint; negative where the motor turns the other way.
@@ -98,6 +100,7 @@ impl Default for DriveSettings {
     /// An axis of the ABB IRB 340 with an AX2006.
     fn default() -> Self {
         Self {
+            identity: ExpectedIdentity::ANY,
             mode: AxisMode::Velocity,
             gear: 12.0,
             increments_per_revolution: 1 << 20,

@@ -197,6 +197,8 @@ pub struct SlaveInfo {
     pub station: u16,
     /// Configured alias from the SII.
     pub alias: u16,
+    /// Number set with its identification switches, if it has such.
+    pub switch: Option<u16>,
     /// Identity.
     pub identity: Identity,
     /// Name from the SII, or else of the driver; empty if there is neither.

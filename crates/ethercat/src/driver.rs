@@ -9,6 +9,7 @@
 //! Invariant: a factory is data and functions of its arguments; it has no state of its own.
 
 use super::configure::PreOperational;
+pub use super::configure::identification::ExpectedIdentity;
 pub use super::configure::{Direction, Entry, PdoChoice, Setting, Windows};
 use super::error::BusError;
 use super::wire::coe::Object;
@@ -33,6 +34,11 @@ pub trait SlaveFactory: Copy + Default + Eq + Debug + 'static {
 
     /// Properties of a device type that the master needs.
     fn describe(device: Self::Device) -> DeviceDescription;
+
+    /// The identity that the application requires of a member; any slave with a driver by default.
+    fn expected_identity(_settings: &Self::Settings, _member: u8) -> ExpectedIdentity {
+        ExpectedIdentity::ANY
+    }
 
     /// Configures a slave in PREOP, and returns its process data; `None` for a slave that exchanges none.
     ///

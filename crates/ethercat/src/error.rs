@@ -7,6 +7,26 @@
 use super::port_state::PortState;
 use super::wire::coe::Object;
 
+/// A property that tells slaves apart.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub enum IdentityProperty {
+    /// Vendor number.
+    Vendor,
+    /// Product code.
+    Product,
+    /// Revision of the product.
+    Revision,
+    /// Serial number.
+    Serial,
+    /// Configured alias.
+    Alias,
+    /// Number set with the identification switches.
+    Switch,
+    /// Station address: the order of the slaves since the bring-up.
+    Station,
+}
+
 /// Why a step of bring-up or repair failed.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
@@ -44,13 +64,16 @@ pub enum BusError {
         /// Product code found.
         actual: u32,
     },
-    /// The expected product is at this place, but with the serial number of another slave of this bus: the two were
-    /// swapped.
-    Serial {
-        /// Serial number expected.
+    /// The slave is not the one that belongs to this place.
+    WrongSlave {
+        /// The property in which it differs.
+        property: IdentityProperty,
+        /// Value expected.
         expected: u32,
-        /// Serial number found.
+        /// Value found.
         actual: u32,
+        /// Where the expected slave is, or where the one found belongs, if that is known: place in the chain, from 0.
+        other: Option<u8>,
     },
     /// Another slave's station address at this place: the chain was changed.
     Station {

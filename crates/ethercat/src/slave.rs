@@ -8,6 +8,7 @@ use super::wire::coe::Emergency;
 use super::wire::register::PORTS;
 use super::wire::sii::{FixedPart, Identity};
 use crate::configure::discovery::STATION_BASE;
+use crate::configure::identification::KnownIdentity;
 use crate::driver::{ProcessData, SlaveFactory};
 
 /// Condition of a slave.
@@ -35,6 +36,10 @@ pub struct Slave<F: SlaveFactory> {
     pub position: u16,
     /// Fixed part of its SII.
     pub fixed: FixedPart,
+    /// Its identity, as last compared with an expectation.
+    pub known: KnownIdentity,
+    /// Number of its switches, once it was asked for a diagnosis; 0 if it tells none.
+    pub switch: Option<u16>,
     /// Its device type, if there is a driver for it.
     pub device: Option<F::Device>,
     /// Its number among the application's members, if it is used.
@@ -65,6 +70,8 @@ impl<F: SlaveFactory> Slave<F> {
         Self {
             position,
             fixed: FixedPart::default(),
+            known: KnownIdentity::default(),
+            switch: None,
             device: None,
             member: None,
             process_data: None,

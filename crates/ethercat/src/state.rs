@@ -27,6 +27,8 @@ pub const READ_TIMEOUT_MS: u32 = 3_000;
 const ABSENT_TRIES_MAX: u8 = 8;
 /// Longest wait for an error flag to clear after it was acknowledged, ms.
 pub const ACKNOWLEDGE_TIMEOUT_MS: u32 = 500;
+/// Longest wait for the number of the switches, ms; a slave without switches never shows one.
+const SWITCH_TIMEOUT_MS: u32 = 100;
 
 /// State of a slave's application layer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -206,6 +208,37 @@ pub async fn acknowledge<const MESSAGE: usize>(
             });
         }
     }
+}
+
+/// Asks a slave for the number of its identification switches, in its present state; 0 if it has none, or if it shows an
+/// error. The request is withdrawn afterwards.
+///
+/// # Errors
+/// [`BusError::RequestUnread`], or as [`AcyclicPort::send_until_counted`].
+pub async fn switch<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, station: u16) -> Result<u16, BusError> {
+    let before = report(port, station).await?;
+    if before.is_flagged() {
+        return Ok(0);
+    }
+    let present = u16::from(before.status) & register::AL_STATE_MASK;
+    request(port, station, present | register::AL_IDENTIFY_BIT).await?;
+    let started_ms = port.now_ms();
+    let number = loop {
+        let bytes = port.read(station, register::AL_STATUS, AlReport::LEN).await?;
+        if AlReport::parse(&bytes).is_flagged() {
+            // It does not know the request.
+            break 0;
+        }
+        if super::wire::read_u16(&bytes, 0) & register::AL_IDENTIFY_BIT != 0 {
+            break super::wire::read_u16(&bytes, 4);
+        }
+        if port.now_ms().wrapping_sub(started_ms) > SWITCH_TIMEOUT_MS {
+            break 0;
+        }
+    };
+    request(port, station, present).await?;
+    acknowledge(port, station).await?;
+    Ok(number)
 }
 
 /// Requests `target` and waits until the slave has reached it. A pending error is acknowledged first.

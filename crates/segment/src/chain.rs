@@ -13,6 +13,7 @@ use crate::faults::kinds::Fault;
 use crate::load::Shaft;
 use crate::slave::Slave;
 use crate::wiring::{Branch, Route, TravelTimes, Wiring};
+use etherpen_ethercat::wire::Command;
 use std::collections::VecDeque;
 
 /// Serial number of a slave that has replaced the one at a place, less the place.
@@ -45,8 +46,11 @@ pub(crate) struct Now {
 pub(crate) struct Chain {
     slaves: Vec<Slave>,
     wiring: Wiring,
+    /// Number of the slave at each place: its place at the start, from 1.
+    numbers: Vec<usize>,
     mains_off_ms: Vec<u64>,
     stalled_until_ms: u64,
+    muted_until_ms: u64,
     /// Frames that each cable still destroys.
     damaging: Vec<u64>,
     frames: u64,
@@ -61,8 +65,10 @@ impl Chain {
         let mut segment = Self {
             slaves,
             wiring: Wiring::new(count, branches, travel),
+            numbers: (1..=count).collect(),
             mains_off_ms: vec![0; count],
             stalled_until_ms: 0,
+            muted_until_ms: 0,
             damaging: vec![0; count + 1],
             frames: 0,
             delayed: VecDeque::new(),
@@ -117,12 +123,23 @@ impl Chain {
         self.slaves.iter_mut().for_each(Slave::sample);
     }
 
-    /// The shafts of the motors in the order of the chain.
+    /// The shafts of the motors in the order that the chain had at the start.
     pub(crate) fn shafts(&mut self) -> Vec<Shaft<'_>> {
-        let drives = self.slaves.iter_mut().zip(1..);
+        let drives = self.slaves.iter_mut().zip(&self.numbers);
+        let shafts = drives.filter_map(|(slave, number)| Some(Shaft::new(*number, slave.drive_mut()?)));
+        let mut shafts: Vec<Shaft> = shafts.collect();
+        shafts.sort_by_key(Shaft::slave);
+        shafts
+    }
+
+    /// The drives in the order that the chain had at the start, with their slaves' numbers.
+    pub(crate) fn drives(&self) -> Vec<(usize, &Drive)> {
+        let slaves = self.numbers.iter().zip(&self.slaves);
+        let mut drives: Vec<(usize, &Drive)> = slaves
+            .filter_map(|(number, slave)| Some((*number, slave.drive()?)))
+            .collect();
+        drives.sort_by_key(|(number, _)| *number);
         drives
-            .filter_map(|(slave, number)| Some(Shaft::new(number, slave.drive_mut()?)))
-            .collect()
     }
 
     /// Applies a fault to the segment.
@@ -134,6 +151,9 @@ impl Chain {
             Fault::Join => self.wiring.join(),
             Fault::Remove(slave) => self.wiring.set_removed(slave, true),
             Fault::Insert(slave) => self.wiring.set_removed(slave, false),
+            Fault::Mute(milliseconds) => self.muted_until_ms = now_ms.saturating_add(milliseconds),
+            Fault::Deaf(slave, ms) => self.with(slave, |slave| slave.deafen(ms)),
+            Fault::Recable(one, other) => self.recable(one, other),
             Fault::Power(slave, off_ms) => self.with(slave, |slave| slave.power_cycle(off_ms)),
             Fault::Retreat(slave, code) => self.with(slave, |slave| slave.fall(AlState::SafeOperational, code)),
             Fault::Fall(slave, state, code) => self.with(slave, |slave| slave.fall(state, code)),
@@ -193,8 +213,8 @@ impl Chain {
         while self.delayed.front().is_some_and(|(due, _)| *due <= self.frames) {
             replies.extend(self.delayed.pop_front().map(|(_, reply)| reply));
         }
-        let stalled = now_ms < self.stalled_until_ms;
-        if stalled {
+        let muted = now_ms < self.muted_until_ms && only_writes_process_data(&mut passing);
+        if muted || now_ms < self.stalled_until_ms {
             return replies;
         }
         if faults.contains(&Fault::Drop) {
@@ -307,6 +327,26 @@ impl Chain {
         }
     }
 
+    /// Exchanges the places of two slaves, from 1, while their cables are pulled.
+    fn recable(&mut self, one: usize, other: usize) {
+        let (Some(one), Some(other)) = (one.checked_sub(1), other.checked_sub(1)) else {
+            return;
+        };
+        if one.max(other) >= self.slaves.len() {
+            return;
+        }
+        for place in [one, other] {
+            self.slaves
+                .iter_mut()
+                .skip(place)
+                .take(1)
+                .for_each(|slave| slave.set_links(0));
+        }
+        self.slaves.swap(one, other);
+        self.numbers.swap(one, other);
+        self.mains_off_ms.swap(one, other);
+    }
+
     fn with_drive(&mut self, slave: usize, work: impl FnOnce(&mut Drive)) {
         self.with(slave, |slave| {
             if let Some(drive) = slave.drive_mut() {
@@ -326,4 +366,16 @@ impl Chain {
             work(slave);
         }
     }
+}
+
+/// Whether a frame has nothing but datagrams that write process data.
+fn only_writes_process_data(frame: &mut [u8]) -> bool {
+    let Some(mut datagrams) = Datagrams::of_frame(frame) else {
+        return false;
+    };
+    let mut only = true;
+    while let Some(datagram) = datagrams.next() {
+        only &= datagram.command() == Command::Lwr;
+    }
+    only
 }

@@ -13,8 +13,8 @@ pub use crate::drive::motor::STEP_S;
 
 /// A machine that the motors of a segment turn.
 pub trait Load {
-    /// Advances by one millisecond; `time_ms` counts them from 1. The shafts are in the order of the chain, one for
-    /// each drive, already moved by the drives that do not only set a torque.
+    /// Advances by one millisecond; `time_ms` counts them from 1. The shafts are in the order that their drives had in
+    /// the chain at the start, one for each drive, already moved by the drives that do not only set a torque.
     fn step(&mut self, time_ms: u64, shafts: &mut [Shaft<'_>]);
 }
 
@@ -30,7 +30,7 @@ impl<'a> Shaft<'a> {
         Self { slave, drive }
     }
 
-    /// The slave that has the motor, from 1.
+    /// The slave that has the motor: its place in the chain at the start, from 1.
     #[must_use]
     #[inline]
     pub fn slave(&self) -> usize {

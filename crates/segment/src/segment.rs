@@ -136,7 +136,7 @@ pub struct SlaveState {
 /// State of one motor.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MotorState {
-    /// The slave that has it, from 1.
+    /// The slave that has it: its place in the chain at the start, from 1.
     pub slave: usize,
     /// State of its drive.
     pub drive: DriveState,
@@ -290,18 +290,14 @@ impl<L: Load> Segment<L> {
         states.collect()
     }
 
-    /// Present states of the motors, in the order of the chain.
+    /// Present states of the motors, in the order that their drives had in the chain at the start.
     pub fn motors(&self) -> impl Iterator<Item = MotorState> {
-        let slaves = (1..).zip(self.chain.slaves());
-        slaves.filter_map(|(number, slave)| {
-            let drive = slave.drive()?;
-            let motor = drive.motor();
-            Some(MotorState {
-                slave: number,
-                drive: drive.state(),
-                angle_rad: motor.angle_rad(),
-                speed_rad_s: motor.speed_rad_s(),
-            })
+        let drives = self.chain.drives().into_iter();
+        drives.map(|(slave, drive)| MotorState {
+            slave,
+            drive: drive.state(),
+            angle_rad: drive.motor().angle_rad(),
+            speed_rad_s: drive.motor().speed_rad_s(),
         })
     }
 

@@ -85,6 +85,8 @@ pub(crate) struct SlaveView {
     pub(crate) serial: u32,
     pub(crate) station: u16,
     pub(crate) alias: u16,
+    /// Number of its identification switches, if it has such.
+    pub(crate) switch: Option<u16>,
     /// Axis of the robot that the slave drives, from 1.
     pub(crate) axis: Option<u16>,
     #[serde(flatten)]
@@ -129,6 +131,7 @@ impl SlaveView {
             serial: info.identity.serial,
             station: info.station,
             alias: info.alias,
+            switch: info.switch,
             axis: info.member.map(|axis| u16::from(axis) + 1),
             state: AlStatusView::new(info.report),
             drive: info.status_word.map(DriveView::new),

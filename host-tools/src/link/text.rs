@@ -193,6 +193,7 @@ pub fn config_error(error: &ConfigError) -> String {
         .map_or(String::new(), |axis| format!(" of axis {}", one(axis)));
     let why = match error.field.name() {
         "axes.quick_stop_rad_s2" => "the axis must stop from its highest speed before its brake closes; ",
+        "axes.alias" | "axes.switch" | "axes.serial" => "another axis expects the same drive; ",
         _ => "",
     };
     format!(

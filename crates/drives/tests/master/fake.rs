@@ -32,6 +32,10 @@ pub(crate) struct FakeSlave {
     pub(crate) emulated: bool,
     /// Frames until its processor has started up and reads AL control.
     pub(crate) boots: u32,
+    /// Its alias.
+    pub(crate) alias: u16,
+    /// Number of its identification switches.
+    pub(crate) switch: Option<u16>,
     /// Whether its processor reads the SII on the way to PREOP.
     pub(crate) reads_sii: bool,
     /// Number of FMMUs; a write that reaches beyond them is refused.
@@ -64,6 +68,8 @@ impl FakeSlave {
             sticky_error: false,
             emulated: false,
             boots: 0,
+            alias: 0,
+            switch: None,
             reads_sii: false,
             fmmus: 16,
             unread: None,
@@ -79,6 +85,11 @@ impl FakeSlave {
     pub(crate) fn power_up(&mut self) {
         self.memory = vec![0; MEMORY];
         self.memory[usize::from(register::AL_STATUS)] = 1;
+        write_bytes(
+            &mut self.memory,
+            usize::from(register::STATION_ALIAS),
+            &self.alias.to_le_bytes(),
+        );
         self.objects = BTreeMap::new();
         for (object, bytes) in [
             ((0x1C12, 0), vec![1]),
@@ -185,6 +196,9 @@ impl FakeSlave {
         }
         let now = self.memory[usize::from(register::AL_STATUS)];
         let wanted = control & 0x0F;
+        if let Some(number) = self.switch.filter(|_| control & 0x20 != 0 && now & 0x1F == wanted) {
+            return self.set_al(wanted | 0x20, number);
+        }
         if wanted == 1 {
             self.mailbox_counter = 0;
             self.answers.clear();

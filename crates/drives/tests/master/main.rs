@@ -3,6 +3,7 @@
 mod bring_up;
 mod drives;
 mod fake;
+mod identity;
 mod odd_devices;
 mod repair;
 mod rig;

@@ -2,7 +2,7 @@
 
 use super::fake::{FakeSegment, FakeSlave};
 use super::rig::{Bench, Next, run};
-use etherpen_ethercat::error::BusError;
+use etherpen_ethercat::error::{BusError, IdentityProperty};
 use etherpen_ethercat::event::{BusEvent, Step};
 use etherpen_ethercat::wire::write_bytes;
 use std::vec::Vec;
@@ -89,12 +89,17 @@ fn two_equal_drives_that_were_swapped_are_refused() {
         |_| {},
         |log| refusals(log).len() == 2,
     );
-    let error = |expected, actual| BusError::Serial { expected, actual };
+    let error = |expected, actual, other| BusError::WrongSlave {
+        property: IdentityProperty::Serial,
+        expected,
+        actual,
+        other: Some(other),
+    };
     assert_eq!(
         refusals(&log),
         [
-            (Some(1), Step::Identify, error(12, 13)),
-            (Some(2), Step::Identify, error(13, 12))
+            (Some(1), Step::Identify, error(12, 13, 2)),
+            (Some(2), Step::Identify, error(13, 12, 1))
         ]
     );
 }

@@ -10,7 +10,7 @@ use crate::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
 use crate::diagnostics::Name;
 use crate::error::BusError;
 use crate::wire::register;
-use crate::wire::sii::{self, CategoryHeader, CategoryWalker, FixedPart};
+use crate::wire::sii::{self, CategoryHeader, CategoryWalker, FixedPart, General};
 use crate::wire::{Address, Command, read_u8, read_u16, write_bytes};
 use core::ops::Range;
 use heapless::Vec;
@@ -291,11 +291,13 @@ pub async fn find_category<const MESSAGE: usize>(
     Ok(None)
 }
 
-/// Alias and name of a slave, for display.
+/// Alias, switches and name of a slave, for display.
 #[derive(Clone, Debug, Default)]
 pub struct Summary {
     /// Configured alias.
     pub alias: u16,
+    /// Whether the device tells the number of its identification switches when it is asked by AL control.
+    pub has_switch: bool,
     /// The device's name.
     pub name: Name,
 }
@@ -312,13 +314,16 @@ pub async fn summary<const MESSAGE: usize>(
     read_words(port, station, sii::WORD_ALIAS, &mut alias).await?;
     let mut summary = Summary {
         alias: read_u16(&alias, 0),
+        has_switch: false,
         name: Name::new(),
     };
     let Some(general) = find_category(port, station, sii::CATEGORY_GENERAL).await? else {
         return Ok(summary);
     };
-    let mut names = [0; 4];
+    let mut names = [0; General::FLAGS_AT + 1];
     read_words(port, station, general.word, &mut names).await?;
+    let has_flags = usize::from(general.words) * 2 > General::FLAGS_AT;
+    summary.has_switch = has_flags && read_u8(&names, General::FLAGS_AT) & sii::FLAG_IDENTITY_IN_AL_STATUS != 0;
     if let Some(strings) = find_category(port, station, sii::CATEGORY_STRINGS).await? {
         summary.name = string(port, station, strings, read_u8(&names, 3)).await?;
     }

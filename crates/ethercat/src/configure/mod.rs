@@ -6,6 +6,7 @@
 //! Invariant: steps for one slave touch no other slave, except [`discovery::reset_all`].
 
 pub mod discovery;
+pub mod identification;
 pub mod information;
 mod objects;
 mod pre_operational;

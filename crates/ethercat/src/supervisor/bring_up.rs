@@ -54,6 +54,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             // A member may be missing because it could not be read.
             return Err(unread.unwrap_or(Failure::bus(Step::Identify)(error)));
         }
+        self.check_members().await?;
         self.introduce_all().await;
         self.send_plan().await;
         Ok(())

@@ -151,7 +151,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         });
         CyclicPlan {
             // The OP bit is the one that concerns the slaves in use.
-            al_bits_ignored: ignored.fold(0, |bits, slave| bits | slave) & !(AlState::Operational as u16),
+            al_bits_ignored: ignored.fold(register::AL_IDENTIFY_BIT, |bits, slave| bits | slave)
+                & !(AlState::Operational as u16),
             slaves: slaves.collect(),
             exchange: self.setup.exchange,
             clock: self.reference_clock(),

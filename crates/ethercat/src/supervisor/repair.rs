@@ -11,7 +11,7 @@ use super::super::clock;
 use super::super::configure::discovery::{STATION_BASE, STATION_TEMPORARY};
 use super::super::configure::{discovery, information};
 use super::super::driver::SlaveFactory;
-use super::super::error::BusError;
+use super::super::error::{BusError, IdentityProperty};
 use super::super::event::Step;
 use super::super::slave::Slave;
 use super::super::state::{self, AlState};
@@ -117,7 +117,11 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             let is_its_place = by_order.is_none_or(|wanted| wanted == rank);
             let is_known = is_its_place && (by_order.is_some() || self.is_only_one(&slave, &missing));
             let fixed = self.identify(*place, places).await.map_err(at(Step::Identify))?;
-            match self.is_same(&slave, &fixed.identity) {
+            let mut same = self.is_same(&slave, &fixed.identity);
+            if same.is_ok() && is_its_place {
+                same = self.check_returned(number, STATION_TEMPORARY, fixed.identity).await;
+            }
+            match same {
                 Ok(()) if is_known || (is_elsewhere && has_serial_of(&slave, &fixed.identity)) => {
                     self.clocks.was_off(number);
                     return self.name(slave.station()).await.map_err(at(Step::Address));
@@ -267,17 +271,19 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             });
         }
         let mut others = self.slaves.iter().filter(|other| other.position != slave.position);
-        let elsewhere = others.any(|other| {
+        let elsewhere = others.find(|other| {
             let other = other.identity();
             (other.vendor, other.product, other.serial) == (new.vendor, new.product, new.serial)
         });
-        if new.serial != 0 && new.serial != old.serial && elsewhere {
-            return Err(BusError::Serial {
+        match elsewhere {
+            Some(other) if new.serial != 0 && new.serial != old.serial => Err(BusError::WrongSlave {
+                property: IdentityProperty::Serial,
                 expected: old.serial,
                 actual: new.serial,
-            });
+                other: Some(other.position as u8),
+            }),
+            _ => Ok(()),
         }
-        Ok(())
     }
 
     /// Brings back a slave that only left OP: acknowledges the error and requests OP again.

@@ -144,9 +144,14 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             _ => None,
         };
         let share = process_data::cyclic_slave(&slave);
+        let switch = match (memory.has_switch, slave.switch) {
+            (true, None) => self.ask_for_switch(number).await?,
+            (_, known) => known,
+        };
         Ok(SlaveInfo {
             station,
             alias: memory.alias,
+            switch: switch.filter(|switch| *switch != 0),
             identity: slave.identity(),
             name: if memory.name.is_empty() {
                 name_here(driver)

@@ -93,7 +93,7 @@ impl Controller {
             if reads && unit.reads {
                 has_read |= self.read_mapped(overlap, datagram.data_mut());
             }
-            if writes && unit.writes {
+            if writes && unit.writes && !self.deaf {
                 has_written |= self.write_mapped(overlap, &incoming);
             }
         }

@@ -124,6 +124,8 @@ pub(crate) struct Controller {
     /// When the present frame comes back to each port.
     back_ns: [Option<u64>; PORTS],
     processor_alive: bool,
+    /// Whether it takes no process data.
+    deaf: bool,
     /// Whether the data-link status has changed since the bus read it.
     link_event: bool,
     /// Whether the application's state has changed since the bus read it.
@@ -152,6 +154,7 @@ impl Controller {
             now_ns: 0,
             back_ns: [None; PORTS],
             processor_alive: true,
+            deaf: false,
             link_event: true,
             state_event: false,
             al_request: None,
@@ -378,6 +381,11 @@ impl Controller {
         if let Some(registers) = self.memory.get_mut(eeprom::BASE..eeprom::BASE + eeprom::LENGTH) {
             self.eeprom.set_fault(fault, registers);
         }
+    }
+
+    /// Sets whether it takes no process data: writes to logical addresses have no effect and do not count.
+    pub(crate) fn set_deaf(&mut self, deaf: bool) {
+        self.deaf = deaf;
     }
 
     /// Counts a damaged frame at port 0; `forwarded` if it was damaged before the cable at this port.

@@ -50,6 +50,12 @@ pub enum Fault {
     Remove(usize),
     /// This slave returns.
     Insert(usize),
+    /// The cables of two slaves are exchanged: they change places in the chain, each with its motor and its power.
+    Recable(usize, usize),
+    /// No frame that only writes process data gets through for this many milliseconds.
+    Mute(u64),
+    /// A slave takes no process data for some milliseconds.
+    Deaf(usize, u64),
     /// This slave is replaced by another product.
     Swap(usize, Product),
     /// A slave is without power for some milliseconds.
@@ -170,6 +176,7 @@ impl Fault {
         match self {
             Self::Remove(slave)
             | Self::Insert(slave)
+            | Self::Deaf(slave, _)
             | Self::Swap(slave, _)
             | Self::Power(slave, _)
             | Self::Retreat(slave, _)
@@ -186,7 +193,7 @@ impl Fault {
             | Self::Mains(slave, _)
             | Self::Resolver(slave, ..)
             | Self::Jump(slave, _) => Some(slave),
-            Self::Exchange(one, other, _) => Some(one.max(other)),
+            Self::Exchange(one, other, _) | Self::Recable(one, other) => Some(one.max(other)),
             _ => None,
         }
     }
@@ -224,6 +231,9 @@ impl Fault {
             Self::Crc(..) => "crc",
             Self::Remove(_) => "remove",
             Self::Insert(_) => "insert",
+            Self::Recable(..) => "recable",
+            Self::Mute(_) => "mute",
+            Self::Deaf(..) => "deaf",
             Self::Swap(..) => "swap",
             Self::Power(..) => "power",
             Self::Retreat(..) => "retreat",

@@ -45,12 +45,14 @@ Faults of a frame:
 
 Faults of the chain:
   stall N             no frame gets through in either direction for N ms
+  mute N              no frame that only writes process data gets through for N ms
   cut K, plug K       the cable behind slave K is pulled (0: the master's), or plugged in; in a tree of slaves this
                       is the cable that leads to slave K + 1
   join                all cables are plugged in
   crc K N             the cable behind slave K destroys the next N frames (0: the master's)
   remove K, insert K  slave K is bypassed; it comes back
   swap K KIND         slave K is replaced: ax2000, cia402 or ek1100
+  recable K L         the slaves K and L change places in the chain, with their motors
   power K N           slave K is without power for N ms, and with it the chain behind it
 
 Faults of a slave:
@@ -63,6 +65,7 @@ Faults of a slave:
   mailbox K STEP WHAT at a mailbox request (its number from now on, or INDEX:SUB of an SDO): abort CODE,
                       silent, lost (only a repeat brings the answer), counter (the answer has the last
                       one's), flood N (N emergencies come before the answer)
+  deaf K N            slave K takes no process data for N ms: their working counters tell
   eoe K               slave K sends an Ethernet fragment through its mailbox, unasked
   foe K WHAT          its file server: busy N (N packets are answered 'busy' first), error CODE (for the next
                       message), packet (a wrong packet number in the next answer), silent N (no answer to N messages)
@@ -383,12 +386,15 @@ fn fault(name: &str, words: &mut Words) -> Result<Fault, ScriptError> {
         "foreign" => Fault::Foreign,
         "reflect" => Fault::Reflect,
         "stall" => Fault::Stall(words.number()?),
+        "mute" => Fault::Mute(words.number()?),
         "cut" => Fault::Cut(words.number()?),
         "plug" => Fault::Plug(words.number()?),
         "join" => Fault::Join,
         "crc" => Fault::Crc(words.number()?, words.number()?),
         "remove" => Fault::Remove(words.slave()?),
         "insert" => Fault::Insert(words.slave()?),
+        "recable" => Fault::Recable(words.slave()?, words.slave()?),
+        "deaf" => Fault::Deaf(words.slave()?, words.number()?),
         "swap" => Fault::Swap(words.slave()?, words.choice(&Product::NAMES)?),
         "power" => Fault::Power(words.slave()?, words.number()?),
         "retreat" => Fault::Retreat(words.slave()?, words.number()?),
@@ -623,6 +629,9 @@ mod tests {
             "ms 1 reverse 1 20",
             "ms 1 noise 1 3000 20",
             "ms 1 exchange 1 2 20",
+            "ms 1 recable 1 2",
+            "ms 1 mute 20",
+            "ms 1 deaf 1 20",
         ] {
             let script: Script = text.parse().expect(text);
             let name = script.entries[0].1.name();

@@ -49,6 +49,8 @@ pub(crate) struct Slave {
     /// Remaining time without power, ms; the motor brakes meanwhile.
     unpowered_ms: u64,
     silent_ms: u64,
+    /// Remaining time in which it takes no process data, ms.
+    deaf_ms: u64,
     /// Remaining time to the next answer of the mailbox, ms.
     answer_ms: u64,
     unfed_ms: u64,
@@ -100,6 +102,7 @@ impl Slave {
             transition: None,
             unpowered_ms: 0,
             silent_ms: 0,
+            deaf_ms: 0,
             answer_ms: 0,
             unfed_ms: 0,
             width,
@@ -200,6 +203,12 @@ impl Slave {
         self.controller.set_sii_fault(fault);
     }
 
+    /// Takes no process data for some milliseconds.
+    pub(crate) fn deafen(&mut self, milliseconds: u64) {
+        self.deaf_ms = milliseconds;
+        self.controller.set_deaf(milliseconds > 0);
+    }
+
     /// Stops the slave's processor for some milliseconds; the slave controller continues.
     pub(crate) fn hang(&mut self, milliseconds: u64) {
         if self.is_alone() {
@@ -271,6 +280,9 @@ impl Slave {
 
     /// Advances by one millisecond, to a true time.
     pub(crate) fn step(&mut self, now_ns: u64) {
+        if self.deaf_ms > 0 {
+            self.deafen(self.deaf_ms - 1);
+        }
         if !self.is_powered() {
             self.unpowered_ms -= 1;
             self.device.step(false);

@@ -31,6 +31,8 @@ pub(super) fn scan(access: &mut dyn BusAccess, json: bool) -> Result<(), Program
                 format!("{:08x}", slave.product),
                 format!("{:x}", slave.revision),
                 slave.serial.to_string(),
+                slave.alias.to_string(),
+                slave.switch.map_or(String::new(), |switch| switch.to_string()),
                 al_state(slave.state.al_status),
                 slave
                     .drive
@@ -40,7 +42,7 @@ pub(super) fn scan(access: &mut dyn BusAccess, json: bool) -> Result<(), Program
         })
         .collect();
     let heading = [
-        "slave", "name", "vendor", "product", "revision", "serial", "state", "drive",
+        "slave", "name", "vendor", "product", "revision", "serial", "alias", "switch", "state", "drive",
     ];
     table::print(heading, &rows)?;
     for slave in &view.slaves {
@@ -89,6 +91,9 @@ fn describe(slave: &SlaveView) -> Result<(), ProgramError> {
         },
     )?;
     line("address", format!("{:#06x}, alias {}", slave.station, slave.alias))?;
+    if let Some(switch) = slave.switch {
+        line("switches", switch.to_string())?;
+    }
     if let Some(axis) = slave.axis {
         line("axis", axis.to_string())?;
     }

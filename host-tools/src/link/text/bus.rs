@@ -6,7 +6,7 @@ use etherpen::board::PortState;
 use etherpen::drives::cia402::{DriveState, StatusWord};
 use etherpen::ethercat::coe::{abort_hint, abort_text};
 use etherpen::ethercat::diagnostics::ServiceError;
-use etherpen::ethercat::error::BusError;
+use etherpen::ethercat::error::{BusError, IdentityProperty};
 use etherpen::ethercat::event::Step;
 use etherpen::ethercat::state::{AlState, al_code_hint, al_code_text};
 use etherpen::ethercat::wire::coe::Object;
@@ -192,9 +192,18 @@ pub fn bus_error(error: &BusError) -> String {
         BusError::Identity { expected, actual } => {
             format!("there is product {actual:08x} where {expected:08x} was; put the slave back or restart the bus")
         }
-        BusError::Serial { expected, actual } => format!(
-            "there is serial number {actual} where {expected} was: two slaves were swapped; put them back or restart \
-             the bus"
+        BusError::WrongSlave {
+            property,
+            expected,
+            actual,
+            other,
+        } => format!(
+            "the slave is not the one that belongs to this place: {}; {}",
+            identity_property(property, expected, actual),
+            match other {
+                Some(other) => format!("look at slave {}: the two were exchanged", u16::from(other) + 1),
+                None => "put the right one back".to_owned(),
+            }
         ),
         BusError::Station { expected, actual } => format!(
             "there is the slave with address {actual:#06x} where {expected:#06x} was: the cables were changed; put them \
@@ -236,6 +245,19 @@ pub fn bus_error(error: &BusError) -> String {
             "the slave's clock is {actual_ns} ns from the reference after {waited_ms} ms, more than {expected_ns} ns; \
              without clocks (bus.clocks) it can be used all the same"
         ),
+    }
+}
+
+/// A property in which a slave differs from the one expected.
+pub(super) fn identity_property(property: IdentityProperty, expected: u32, found: u32) -> String {
+    match property {
+        IdentityProperty::Vendor => format!("vendor {found:08x} instead of {expected:08x}"),
+        IdentityProperty::Product => format!("product {found:08x} instead of {expected:08x}"),
+        IdentityProperty::Revision => format!("revision {found:x} instead of {expected:x}"),
+        IdentityProperty::Serial => format!("serial number {found} instead of {expected}"),
+        IdentityProperty::Alias => format!("alias {found} instead of {expected}"),
+        IdentityProperty::Switch => format!("switches at {found} instead of {expected}"),
+        IdentityProperty::Station => format!("station address {found:#06x} instead of {expected:#06x}"),
     }
 }
 

@@ -1,8 +1,9 @@
 //! Texts about faults: the cause, and what to try.
 
-use super::bus::{PORT_HINT, al_state, bring_up_code, bring_up_step, port_state};
+use super::bus::{PORT_HINT, al_state, bring_up_code, bring_up_step, identity_property, port_state};
 use super::one;
 use etherpen::application::{Fault, StopSource};
+use etherpen::ethercat::error::IdentityProperty;
 use etherpen::ethercat::state::{al_code_hint, al_code_text};
 
 /// The cause of a fault and what to try.
@@ -100,6 +101,31 @@ pub fn fault(fault: &Fault) -> String {
              one back, then acknowledge; if this one is to stay, reset the board",
             one(slave)
         ),
+        Fault::WrongSlave {
+            slave,
+            property,
+            expected,
+            found,
+            other,
+        } => {
+            let difference = match property {
+                IdentityProperty::Station => String::new(),
+                property => format!(": {}", identity_property(property, expected, found)),
+            };
+            let hint = match other {
+                Some(other) => format!(
+                    "it was exchanged with slave {}: put the cables or the drives of both places back",
+                    one(other)
+                ),
+                None => "put the right one back, or correct alias, switch or serial of its axis in etherpen.toml \
+                         (etherpen bus scan shows them)"
+                    .to_owned(),
+            };
+            format!(
+                "slave {} is not the one that belongs there{difference}; {hint}, then acknowledge",
+                one(slave)
+            )
+        }
         Fault::RepairTimeout { waited_ms } => format!(
             "the bus did not recover within {waited_ms} ms, and the cause is not known yet; check the slaves (etherpen bus \
              scan), then acknowledge again"
@@ -193,6 +219,36 @@ mod tests {
         assert!(failed(Step::Init, 0).contains("did not answer"));
         assert!(failed(Step::Locate, 0).contains("not where it was"));
         assert!(failed(Step::Identify, 0).contains("SII"));
+    }
+
+    #[test]
+    fn two_slaves_that_were_exchanged_are_both_named() {
+        let wrong = |property, other| {
+            fault(&Fault::WrongSlave {
+                slave: 1,
+                property,
+                expected: 7,
+                found: 9,
+                other,
+            })
+        };
+        for (property, word) in [
+            (IdentityProperty::Alias, "alias 9 instead of 7"),
+            (IdentityProperty::Switch, "switches at 9 instead of 7"),
+            (IdentityProperty::Serial, "serial number 9 instead of 7"),
+            (IdentityProperty::Station, "is not the one"),
+        ] {
+            let text = wrong(property, Some(2));
+            assert!(
+                text.contains("slave 2 ") && text.contains("with slave 3:") && text.contains(word),
+                "{text}"
+            );
+        }
+        let unknown = wrong(IdentityProperty::Alias, None);
+        assert!(
+            unknown.contains("slave 2 ") && unknown.contains("etherpen.toml"),
+            "{unknown}"
+        );
     }
 
     #[test]

@@ -124,6 +124,9 @@ pub const DL_CONTROL_ALIAS: u32 = 1 << 24;
 
 /// Error bit of [`AL_STATUS`], acknowledge bit of [`AL_CONTROL`].
 pub const AL_ERROR_BIT: u16 = 1 << 4;
+/// Bit of [`AL_CONTROL`] that asks for the number of the identification switches; the same bit of [`AL_STATUS`] says
+/// that [`AL_STATUS_CODE`] holds it.
+pub const AL_IDENTIFY_BIT: u16 = 1 << 5;
 /// State bits of [`AL_STATUS`] and [`AL_CONTROL`].
 pub const AL_STATE_MASK: u16 = 0x0F;
 

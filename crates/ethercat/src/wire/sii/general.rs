@@ -98,6 +98,8 @@ pub struct General {
 impl General {
     /// Bytes of the category.
     pub const LEN: usize = 32;
+    /// Place of [`Self::flags`] in the category, bytes.
+    pub const FLAGS_AT: usize = 11;
     /// Shortest valid category, bytes: the names.
     pub const LEN_MIN: usize = 4;
 

@@ -1,0 +1,129 @@
+//! Identity of the members: whether the slave at a member's place is the one that the application expects there.
+//!
+//! Two equal drives whose cables are exchanged would move each other's axes. What tells them apart is read before a
+//! member leaves INIT: at bring-up for all members together, and in a repair for the slave that has returned.
+//!
+//! Invariant: a slave that differs from what is expected at its place is not used; the refusal names the place, and the
+//! other one if the slave there is the expected one, or the slave here is expected there.
+
+use super::super::configure::identification::{self, ExpectedIdentity, KnownIdentity};
+use super::super::driver::SlaveFactory;
+use super::super::error::BusError;
+use super::super::event::Step;
+use super::super::slave::Slave;
+use super::super::state;
+use super::super::wire::sii::Identity;
+use super::Failure;
+use super::bus::Bus;
+
+impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAVES, MESSAGE> {
+    /// What is expected of a slave as a member.
+    fn expected(&self, slave: &Slave<F>) -> ExpectedIdentity {
+        let expected = |member| F::expected_identity(&self.setup.settings, member);
+        slave.member.map_or(ExpectedIdentity::ANY, expected)
+    }
+
+    /// Compares all members with what is expected of them.
+    pub(super) async fn check_members(&mut self) -> Result<(), Failure> {
+        if self.slaves.iter().all(|slave| self.expected(slave).is_any()) {
+            return Ok(());
+        }
+        for number in 0..self.slaves.len() {
+            let Some(slave) = self.slaves.get(number).filter(|slave| slave.device.is_some()) else {
+                continue;
+            };
+            let (position, station, identity) = (slave.position, slave.station(), slave.identity());
+            let known = match self.known(station, identity).await {
+                Ok(known) => known,
+                Err(error) if slave_is_used(&self.slaves, number) => {
+                    return Err(Failure::of(position, Step::Identify)(error));
+                }
+                Err(_) => continue,
+            };
+            if let Some(slave) = self.slaves.get_mut(number) {
+                slave.known = known;
+            }
+        }
+        for slave in &self.slaves {
+            self.compare(slave, &slave.known)
+                .map_err(Failure::of(slave.position, Step::Identify))?;
+        }
+        Ok(())
+    }
+
+    /// Compares the slave at a station address, which has returned to a slave's place, with what is expected there.
+    pub(super) async fn check_returned(
+        &mut self,
+        number: usize,
+        station: u16,
+        identity: Identity,
+    ) -> Result<(), BusError> {
+        let Some(slave) = self.slaves.get(number).copied() else {
+            return Ok(());
+        };
+        if self.expected(&slave).is_any() {
+            return Ok(());
+        }
+        let known = self.known(station, identity).await?;
+        self.compare(&slave, &known)
+    }
+
+    /// Reads what the members' expectations compare.
+    async fn known(&mut self, station: u16, identity: Identity) -> Result<KnownIdentity, BusError> {
+        let (mut aliases, mut switches) = (false, false);
+        for slave in &self.slaves {
+            let expected = self.expected(slave);
+            aliases |= expected.alias != 0;
+            switches |= expected.switch != 0;
+        }
+        let mut known = KnownIdentity {
+            identity,
+            ..KnownIdentity::default()
+        };
+        if aliases {
+            known.alias = identification::alias(&mut self.port, station).await?;
+        }
+        if switches {
+            state::acknowledge(&mut self.port, station).await?;
+            known.switch = state::switch(&mut self.port, station).await?;
+        }
+        Ok(known)
+    }
+
+    /// Asks a slave without a pending error for the number of its switches, for display, once.
+    pub(super) async fn ask_for_switch(&mut self, number: usize) -> Result<Option<u16>, BusError> {
+        let Some(slave) = self.slaves.get(number).filter(|slave| !slave.report.is_flagged()) else {
+            return Ok(None);
+        };
+        let switch = Some(state::switch(&mut self.port, slave.station()).await?);
+        if let Some(slave) = self.slaves.get_mut(number) {
+            slave.switch = switch;
+        }
+        Ok(switch)
+    }
+
+    /// Whether a slave with this identity is the one that is expected at a slave's place.
+    fn compare(&self, slave: &Slave<F>, known: &KnownIdentity) -> Result<(), BusError> {
+        let expected = self.expected(slave);
+        let Some(difference) = expected.difference(known) else {
+            return Ok(());
+        };
+        let others = || self.slaves.iter().filter(|other| other.position != slave.position);
+        let is_wanted = |other: &&Slave<F>| other.device.is_some() && expected.difference(&other.known).is_none();
+        let is_owner = |other: &&Slave<F>| {
+            let expected = self.expected(other);
+            !expected.is_any() && expected.difference(known).is_none()
+        };
+        let other = others().find(is_owner).or_else(|| others().find(is_wanted));
+        Err(BusError::WrongSlave {
+            property: difference.property,
+            expected: difference.expected,
+            actual: difference.actual,
+            other: other.map(|other| other.position as u8),
+        })
+    }
+}
+
+fn slave_is_used<F: SlaveFactory>(slaves: &[Slave<F>], number: usize) -> bool {
+    slaves.get(number).is_some_and(|slave| slave.member.is_some())
+}

@@ -1,0 +1,165 @@
+//! Two equal drives with exchanged cables: no motor moves, both places are named, and put back the machine draws.
+
+use crate::STILL_RAD_S;
+use crate::liveness::{acknowledge, come_back};
+use crate::robot::Robot;
+use etherpen::application::{Fault, Mode};
+use etherpen::config::Config;
+use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest};
+use etherpen::ethercat::error::IdentityProperty;
+use host_tools::cell::{CellOptions, Fault as CellFault, PlaceOptions};
+use host_tools::link::text;
+
+/// Number of the first drive; the others follow.
+const FIRST: u16 = 31;
+/// The exchanged slaves, from 1.
+const EXCHANGED: CellFault = CellFault::Recable(2, 3);
+
+const KINDS: [IdentityProperty; 3] = [
+    IdentityProperty::Alias,
+    IdentityProperty::Switch,
+    IdentityProperty::Serial,
+];
+
+/// A robot that tells its drives apart in this way.
+fn robot(kind: IdentityProperty, clocks: bool, speed_mm_s: f64) -> (Robot, Config) {
+    let mut config = Config::default();
+    config.bus.clocks = clocks;
+    config.motion.speed_mm_s = speed_mm_s;
+    let mut places = Vec::new();
+    for (number, axis) in (FIRST..).zip(&mut config.axes) {
+        let mut place = PlaceOptions::default();
+        match kind {
+            IdentityProperty::Alias => (place.alias, axis.alias) = (number, number),
+            IdentityProperty::Switch => (place.identification, axis.switch) = (Some(number), number),
+            _ => (place.serial, axis.serial) = (Some(number.into()), number.into()),
+        }
+        places.push(place);
+    }
+    let options = CellOptions {
+        places,
+        ..CellOptions::default()
+    };
+    (Robot::of(&config, options), config)
+}
+
+/// Asserts that the operator reads both places.
+fn assert_both_named(fault: Option<Fault>, kind: IdentityProperty) {
+    let Some(
+        fault @ Fault::WrongSlave {
+            slave,
+            property,
+            expected,
+            found,
+            other,
+        },
+    ) = fault
+    else {
+        panic!("{fault:?}");
+    };
+    assert_eq!((slave, other, property), (1, Some(2), kind));
+    assert_eq!((expected, found), (u32::from(FIRST) + 1, u32::from(FIRST) + 2));
+    let told = text::fault(&fault);
+    assert!(told.contains("slave 2 ") && told.contains("slave 3"), "{told}");
+}
+
+#[test]
+fn drives_with_exchanged_cables_are_refused_before_anything_moves_and_draw_when_they_are_put_back() {
+    for kind in KINDS {
+        for clocks in [false, true] {
+            println!("{kind:?}, clocks {clocks}");
+            let (mut robot, config) = robot(kind, clocks, 100.0);
+            robot.inject(EXCHANGED);
+            robot.run(5);
+            let before = robot.cell().joints;
+            robot.configure(&config);
+            robot.run_until("a fault is told", |robot| robot.mode() == Mode::Fault);
+            robot.run(1_000);
+            assert_both_named(robot.fault(), kind);
+            assert_both_named(acknowledge(&mut robot), kind);
+            assert_eq!(robot.cell().joints, before, "a motor has moved");
+            robot.inject(EXCHANGED);
+            robot.run(100);
+            assert_eq!(come_back(&mut robot, 1), 1);
+        }
+    }
+}
+
+#[test]
+fn drives_exchanged_while_they_were_off_are_refused_in_the_repair_and_draw_when_they_are_put_back() {
+    for kind in KINDS {
+        for (clocks, speed_mm_s) in [(false, 20.0), (true, 20.0), (false, 500.0), (true, 500.0)] {
+            println!("{kind:?}, clocks {clocks}, {speed_mm_s} mm/s");
+            let mut robot = robot(kind, clocks, speed_mm_s).0.enabled().in_a_drawing();
+            robot.inject(CellFault::Power(2, 2_000));
+            robot.inject(CellFault::Power(3, 2_000));
+            robot.run(1_000);
+            robot.inject(EXCHANGED);
+            robot.run(1_500);
+            assert!(robot.speed_rad_s() < STILL_RAD_S);
+            let before = robot.cell().joints;
+            assert_both_named(acknowledge(&mut robot), kind);
+            robot.run(500);
+            assert_eq!(robot.cell().joints, before, "a motor has moved");
+            robot.inject(EXCHANGED);
+            robot.run(200);
+            assert_eq!(come_back(&mut robot, 1), 1);
+        }
+    }
+}
+
+#[test]
+fn drives_exchanged_under_power_are_refused_by_their_order_and_draw_when_they_are_put_back() {
+    for clocks in [false, true] {
+        let mut config = Config::default();
+        config.bus.clocks = clocks;
+        let mut robot = Robot::of(&config, CellOptions::default()).enabled().in_a_drawing();
+        robot.inject(CellFault::Cut(1));
+        robot.run(500);
+        robot.inject(EXCHANGED);
+        robot.inject(CellFault::Join);
+        robot.run(500);
+        let before = robot.cell().joints;
+        let left = acknowledge(&mut robot);
+        assert!(
+            matches!(
+                left,
+                Some(Fault::WrongSlave {
+                    slave: 1,
+                    property: IdentityProperty::Station,
+                    other: Some(2),
+                    ..
+                })
+            ),
+            "{left:?}"
+        );
+        assert_eq!(robot.cell().joints, before, "a motor has moved");
+        robot.inject(EXCHANGED);
+        robot.run(200);
+        assert_eq!(come_back(&mut robot, 1), 1);
+    }
+}
+
+#[test]
+fn the_operator_reads_what_tells_the_drives_apart() {
+    for kind in KINDS {
+        let mut robot = robot(kind, false, 100.0).0.enabled();
+        for slave in 0..4 {
+            robot.bus_answers.clear();
+            robot.ask(ServiceRequest::Slave { slave });
+            robot.run_until("the slave is described", |robot| !robot.bus_answers.is_empty());
+            let Ok(ServiceReply::Slave(info)) = &robot.bus_answers[0] else {
+                panic!("{:?}", robot.bus_answers);
+            };
+            let number = FIRST + u16::from(slave);
+            match kind {
+                IdentityProperty::Alias => assert_eq!(info.alias, number),
+                IdentityProperty::Switch => assert_eq!(info.switch, Some(number)),
+                _ => assert_eq!(info.identity.serial, u32::from(number)),
+            }
+        }
+        robot.run(100);
+        assert_eq!((robot.mode(), robot.fault()), (Mode::Idle, None));
+        assert_eq!(come_back(&mut robot, 0), 0);
+    }
+}
