@@ -66,7 +66,7 @@ impl Axis {
         libm::ceil(needed * 100.0) / 100.0
     }
 
-    fn scalars(&self, joint_speed_rad_s: f64) -> [Bound; 23] {
+    fn scalars(&self, joint_speed_rad_s: f64) -> [Bound; 24] {
         [
             bound("axes.gear", self.gear.abs(), 0.1, 1000.0),
             bound(
@@ -86,6 +86,7 @@ impl Axis {
             bound("axes.feedback_gain_per_s", self.feedback_gain_per_s, 0.0, 500.0),
             bound("axes.feed_forward_gain", self.feed_forward_gain, 0.0, 2.0),
             bound("axes.feed_forward_lead_ms", self.feed_forward_lead_ms, 0.0, 10.0),
+            bound("axes.position_lead_ms", self.position_lead_ms, 0.0, 10.0),
             bound("axes.measurement_age_ms", self.measurement_age_ms, 0.0, 10.0),
             bound(
                 "axes.following_error_max_rad",
