@@ -52,7 +52,7 @@ fn draw(kind: SlaveKind, mode: AxisMode) -> Report {
         report.ink_missing_mm, report.pen_down_mm
     );
     let allowed_mm = match mode {
-        AxisMode::Velocity => 0.0,
+        AxisMode::Velocity | AxisMode::Position => 0.0,
         AxisMode::Torque => INK_MISSING_MAX * report.pen_down_mm,
     };
     assert!(report.ink_missing_mm <= allowed_mm, "{name}");
@@ -81,4 +81,10 @@ fn four_ax2000_draw_in_digital_current() {
 fn four_generic_drives_draw_in_cyclic_synchronous_torque() {
     let report = draw(SlaveKind::Cia402, AxisMode::Torque);
     assert!(report.path_deviation_max_mm <= TORQUE_DEVIATION_MAX_MM);
+}
+
+#[test]
+fn four_generic_drives_draw_in_cyclic_synchronous_position() {
+    let report = draw(SlaveKind::Cia402, AxisMode::Position);
+    assert!(report.path_deviation_max_mm <= DEVIATION_MAX_MM);
 }

@@ -21,7 +21,7 @@ pub struct Axis {
     pub product: u32,
     /// Revision of the axis's drive; 0 accepts any.
     pub revision: u32,
-    /// Whether the drive is commanded by velocity or by torque.
+    /// Whether the drive is commanded by velocity, by torque or by position.
     pub mode: AxisMode,
     /// Motor revolutions for one revolution of the joint; negative where the motor turns the other way.
     pub gear: f64,
@@ -33,12 +33,14 @@ pub struct Axis {
     pub sync_angle_rad: f64,
     /// Resolver position at the synchronisation mark, increments.
     pub sync_increments: u32,
-    /// Feedback gain Kfb, 1/s.
+    /// Feedback gain Kfb, 1/s; in position mode the gain of the drive's own position loop.
     pub feedback_gain_per_s: f64,
     /// Feed-forward gain Kff.
     pub feed_forward_gain: f64,
     /// Lead of the velocity feed-forward, ms.
     pub feed_forward_lead_ms: f64,
+    /// Lead of the target position in position mode, ms: the time from a target to the motor.
+    pub position_lead_ms: f64,
     /// Age of the measured position when the controller sees it, ms.
     pub measurement_age_ms: f64,
     /// Following error above which a fault is raised, radians.
@@ -73,6 +75,9 @@ pub struct Axis {
     pub velocity_filter_ms: f64,
 }
 
+/// Following error at which a drive in position mode trips, relative to the deviation at which its feedback is not believed.
+const DRIVE_WINDOW_SHARE: f64 = 1.5;
+
 impl Axis {
     /// Identity required of the axis's drive.
     pub fn identity(&self) -> ExpectedIdentity {
@@ -98,6 +103,9 @@ impl Axis {
             torque_constant_nm_a: self.torque_constant_nm_a,
             peak_current_a: self.peak_current_a,
             rated_torque_nm: self.rated_torque_nm,
+            following_error_max_rad: self
+                .following_error_max_rad
+                .min(DRIVE_WINDOW_SHARE * self.feedback_deviation_max_rad),
         }
     }
 }
@@ -120,6 +128,7 @@ impl Default for Axis {
             feedback_gain_per_s: 80.0,
             feed_forward_gain: 1.0,
             feed_forward_lead_ms: 3.1,
+            position_lead_ms: 2.0,
             measurement_age_ms: 1.0,
             following_error_max_rad: 0.05,
             feedback_deviation_max_rad: 0.008,

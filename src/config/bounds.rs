@@ -56,7 +56,7 @@ pub const QUICK_STOP_MAX_MS: u32 = 950;
 const BUS_BOUNDS: usize = 9;
 
 /// Rows of an axis in the table of bounds.
-const AXIS_BOUNDS: usize = 29;
+const AXIS_BOUNDS: usize = 30;
 
 impl Axis {
     /// Bounds of the identity. An axis that tells its drive by alias, switches or serial number needs one that no other
@@ -122,6 +122,7 @@ impl Axis {
             bound("axes.feedback_gain_per_s", self.feedback_gain_per_s, 0.0, 500.0),
             bound("axes.feed_forward_gain", self.feed_forward_gain, 0.0, 2.0),
             bound("axes.feed_forward_lead_ms", self.feed_forward_lead_ms, 0.0, 10.0),
+            bound("axes.position_lead_ms", self.position_lead_ms, 0.0, 10.0),
             bound("axes.measurement_age_ms", self.measurement_age_ms, 0.0, 10.0),
             bound(
                 "axes.following_error_max_rad",

@@ -7,6 +7,8 @@
 //! - **Velocity.** The drive follows the velocity after a delay, modelled as a low-pass of that delay. The *deviation*
 //!   is the sum of predicted less measured motion. A wrong delay leaves a motion of up to [`LAG_MS`] at the present
 //!   speed; scaling and the drive's clock may be wrong by [`LEAK_PER_RAD`] times the limit.
+//! - **Position.** The drive closes the position loop: the velocity that it demands of the motor is computed from the
+//!   setpoint, the measured position and the gain of its loop, and takes the place of a velocity command.
 //! - **Torque.** A disturbance observer predicts speed and position from torque and inertia; the deviation is its
 //!   position error. In addition, the motion is compared with the previous motion, the setpoint and the torque
 //!   (`torque_feedback.rs`).
@@ -29,12 +31,17 @@ pub const LAG_MS: f32 = 1.5;
 pub const LEAK_PER_RAD: f32 = 0.4;
 /// Share of the deviation that a millisecond removes.
 const LEAK_PER_MS: f32 = 1.0e-6;
+/// Share of the deviation that a millisecond removes in position mode: an error that the drive leaves standing must not add
+/// up.
+const LEAK_PER_MS_BY_POSITION: f32 = 5.0e-4;
 /// Share of a new value in the mean of the noise: the mean of 32 ms.
 const NOISE_SHARE: f32 = 1.0 / 32.0;
 /// Change of speed from one millisecond to the next that a drive's own sampling clock can cause, relative to the speed.
 const NOISE_PER_SPEED: f32 = 2.0;
 /// Part of the deviation limit that applies in torque mode: there an error grows with the square of time and faster.
 const TORQUE_LIMIT_SHARE: f32 = 0.25;
+/// Part of it that applies in position mode: there an error grows with the square of time.
+const POSITION_LIMIT_SHARE: f32 = 0.75;
 
 /// Names of the comparisons; the last three apply in torque mode only.
 pub const COMPARISONS: [&str; 5] = ["deviation", "noise", "sudden", "stuck", "pushed"];
@@ -80,6 +87,7 @@ enum Model {
 pub struct FeedbackMonitor {
     model: Model,
     rad_per_increment: f32,
+    leak_per_ms: f32,
     limit_rad: f32,
     noise_limit_rad: f32,
     /// Predicted less measured motion, rad.
@@ -101,7 +109,7 @@ impl FeedbackMonitor {
         let share_of = |delay_ms: f64| 1.0 / (1.0 + delay_ms.max(0.0));
         let limit_rad = axis.feedback_deviation_max_rad as f32;
         let model = match mode {
-            AxisMode::Velocity => {
+            AxisMode::Velocity | AxisMode::Position => {
                 // The lead is that of a velocity in the middle of its millisecond.
                 let share = share_of(axis.feed_forward_lead_ms + axis.measurement_age_ms - 0.5);
                 Model::Velocity(VelocityModel {
@@ -117,7 +125,12 @@ impl FeedbackMonitor {
             rad_per_increment: (1.0 / increments_per_rad) as f32,
             limit_rad: match mode {
                 AxisMode::Velocity => limit_rad,
+                AxisMode::Position => POSITION_LIMIT_SHARE * limit_rad,
                 AxisMode::Torque => TORQUE_LIMIT_SHARE * limit_rad,
+            },
+            leak_per_ms: match mode {
+                AxisMode::Position => LEAK_PER_MS_BY_POSITION,
+                AxisMode::Velocity | AxisMode::Torque => LEAK_PER_MS,
             },
             noise_limit_rad: (axis.feedback_acceleration_max_rad_s2 * STEP_S * STEP_S) as f32,
             deviation_rad: 0.0,
@@ -254,7 +267,7 @@ impl FeedbackMonitor {
         let deviation_rad = self.deviation_rad - moved_rad;
         match &mut self.model {
             Model::Velocity(_) => {
-                let leak = LEAK_PER_MS + LEAK_PER_RAD * self.speed_rad;
+                let leak = self.leak_per_ms + LEAK_PER_RAD * self.speed_rad;
                 self.deviation_rad = deviation_rad - deviation_rad * leak;
             }
             Model::Torque(model) => self.deviation_rad = model.correct(deviation_rad),

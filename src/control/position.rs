@@ -26,12 +26,22 @@ const HISTORY: usize = (AGE_MAX_MS + 3).next_power_of_two();
 /// Upcoming setpoints that [`PositionController::step`] looks at, counted from the present one.
 pub const SETPOINTS_AHEAD: usize = LEAD_MAX_MS + 3;
 
+/// Error that a drive in position mode may leave standing, rad at the joint: friction and its encoder's steps. The motion
+/// expected of it begins beyond.
+const STANDING_ERROR_RAD: f64 = 2.0e-5;
+
+/// The part of a position error that a drive in position mode is expected to remove, rad at the joint.
+pub(super) fn beyond_standing_error(error_rad: f64) -> f64 {
+    error_rad - error_rad.clamp(-STANDING_ERROR_RAD, STANDING_ERROR_RAD)
+}
+
 /// Position controller of one axis, stepped once a millisecond.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct PositionController {
     feedback_gain_per_s: f64,
     feed_forward_gain: f64,
     lead: Place,
+    position_lead: Place,
     age: Place,
     history: [f64; HISTORY],
     newest: usize,
@@ -47,6 +57,7 @@ impl PositionController {
             feedback_gain_per_s: axis.feedback_gain_per_s,
             feed_forward_gain: axis.feed_forward_gain,
             lead: Place::new(within(axis.feed_forward_lead_ms, LEAD_MAX_MS) + DIFFERENCE_CENTRE_MS),
+            position_lead: Place::new(within(axis.position_lead_ms, LEAD_MAX_MS)),
             age: Place::new(within(axis.measurement_age_ms, AGE_MAX_MS)),
             history: [0.0; HISTORY],
             newest: 0,
@@ -83,6 +94,23 @@ impl PositionController {
     #[inline]
     pub(super) fn lead(&self) -> Place {
         self.lead
+    }
+
+    /// Place among the position setpoints from this millisecond on whose value is the target of a drive in position mode.
+    pub(super) fn position_lead(&self) -> Place {
+        self.position_lead
+    }
+
+    /// Advances by one millisecond, for an axis whose drive takes a position; `forward_rad_s` is the velocity setpoint at
+    /// [`Self::lead`].
+    ///
+    /// Returns the velocity that the drive's own loops are expected to demand of the motor, rad/s at the joint, and the
+    /// velocity to add to that of the drive's position loop, rad/s.
+    pub(super) fn step_for_position(&mut self, setpoint_rad: f64, measured_rad: f64, forward_rad_s: f64) -> [f64; 2] {
+        self.remember(setpoint_rad);
+        let error_rad = beyond_standing_error(self.setpoint_at_age_rad - measured_rad);
+        let expected_rad_s = self.feedback_gain_per_s * error_rad + forward_rad_s;
+        [expected_rad_s, self.feed_forward_gain * forward_rad_s]
     }
 
     /// Advances an axis whose velocity loop is closed by the firmware by one millisecond.

@@ -14,9 +14,11 @@ pub use findings::{HomingError, Reading};
 
 use crate::config::{Axis, AxisMode};
 use crate::control::feedback::{COMPARISONS, FeedbackMonitor, Implausible};
+use crate::control::limit::limited;
+use crate::control::position::beyond_standing_error;
 use crate::control::torque_feedback::Demanded;
 use crate::drives::cia402::{DriveState, DriveTarget, StatusWord};
-use crate::drives::io::{GroupDrive, IoGroup, TorqueIo, VelocityIo};
+use crate::drives::io::{GroupDrive, IoGroup, PositionIo, TorqueIo, VelocityIo};
 use crate::drives::{AxisLimits, DriveInput, DriveOutput, ServoAxis};
 use crate::robots::{AXES, JointAngles};
 use core::f64::consts::TAU;
@@ -73,6 +75,18 @@ pub struct AxisCommand {
     pub target: DriveTarget,
     /// Demand; used while the drive is in operation and its target is operation, if its mode takes this kind of demand.
     pub demand: Demand,
+}
+
+/// Demand of one cycle on an axis in position mode.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PositionDemand {
+    /// Joint angle of the target, rad.
+    pub angle_rad: f64,
+    /// Velocity to add to that of the drive's position loop, rad/s at the joint.
+    pub forward_rad_s: f64,
+    /// Velocity that the drive's loops are expected to demand of the motor, rad/s at the joint; the feedback is compared
+    /// with it.
+    pub expected_rad_s: f64,
 }
 
 /// One axis: its drive, its unwrapped position, and its zero.
@@ -244,7 +258,10 @@ impl AxisState {
     fn follow_ramp(&mut self) {
         let state = self.drive.state();
         let brakes = matches!(state, DriveState::OperationEnabled | DriveState::QuickStopActive);
-        let ramps = matches!(self.drive.demand_scale(), Some((AxisMode::Velocity, _)));
+        let ramps = matches!(
+            self.drive.demand_scale(),
+            Some((AxisMode::Velocity | AxisMode::Position, _))
+        );
         let left = self.sent.saturating_abs().saturating_sub(self.ramp_digits);
         if self.compared_ms <= 1 || !brakes || !ramps || left <= 0 {
             return self.end_comparison();
@@ -300,6 +317,41 @@ impl AxisState {
             self.follow_ramp();
         }
         output
+    }
+
+    /// The output to a drive in position mode, which holds its last target without a demand. The feedback of the next
+    /// cycles is compared with what the drive is expected to do.
+    #[inline(never)]
+    fn output_position(&mut self, target: DriveTarget, demand: Option<&PositionDemand>) -> DriveOutput {
+        let wanted = demand.and_then(|demand| Some((self.increments_at(demand.angle_rad)?, demand)));
+        let forward_rad_s = wanted.map_or(0.0, |(_, demand)| demand.forward_rad_s);
+        let increments = wanted.map(|(increments, _)| increments);
+        let output = self.drive.set_position(target, increments, forward_rad_s);
+        self.commanded = wanted.is_some_and(|(_, demand)| demand.expected_rad_s != 0.0);
+        let scale = self.drive.demand_scale().filter(|_| self.drive.runs(&output));
+        if let Some((_, digits_per_unit)) = scale {
+            let expected_rad_s = match wanted {
+                Some((_, demand)) => demand.expected_rad_s,
+                None => {
+                    let error = f64::from(output.position.wrapping_sub(self.raw)) / self.increments_per_rad;
+                    self.config.feedback_gain_per_s * beyond_standing_error(error)
+                }
+            };
+            let expected_rad_s = limited(expected_rad_s, self.config.output_max_rad_s.abs());
+            (self.sent, self.compared_ms) = ((expected_rad_s * digits_per_unit) as i32, RAMP_COMPARED_MS);
+        } else if self.compared_ms > 0 {
+            self.follow_ramp();
+        }
+        output
+    }
+
+    /// The drive's position at a joint angle, increments; `None` while the axis is not homed, or for an angle that is not
+    /// finite.
+    fn increments_at(&self, angle_rad: f64) -> Option<i32> {
+        let ahead = self.zero? + angle_rad * self.increments_per_rad - float(self.position);
+        ahead
+            .is_finite()
+            .then(|| self.raw.wrapping_add(libm::round(ahead) as i32))
     }
 }
 
@@ -464,6 +516,20 @@ impl RobotAxes {
         const { assert!(AXIS < AXES) };
         let output = self.axes[AXIS].output(command);
         group.write(AXIS, &output);
+    }
+
+    /// Writes the command of one axis in position mode; without a demand its drive holds its last target.
+    #[inline(never)]
+    pub fn write_position(
+        &mut self,
+        axis: usize,
+        group: &mut impl IoGroup,
+        target: DriveTarget,
+        demand: Option<&PositionDemand>,
+    ) {
+        if let Some(state) = self.axes.get_mut(axis) {
+            group.write(axis, &state.output_position(target, demand));
+        }
     }
 }
 

@@ -9,8 +9,8 @@
 //! telegram.
 //!
 //! Invariants: every released millisecond sends the outputs exactly once when the bus is configured; a drive gets a
-//! velocity other than zero only while it follows setpoints of the selected epoch; the first fault makes every
-//! following output a quick stop until the fault is cleared.
+//! velocity other than zero, or another target position, only while it follows setpoints of the selected epoch; the first
+//! fault makes every following output a quick stop until the fault is cleared.
 
 use crate::application::{Fault, Power};
 use crate::board::Interlock;
@@ -19,7 +19,7 @@ pub use crate::control::cycle::{CycleReport, Queued, SamplerCommand, SamplerCoun
 use crate::control::feedback::COMPARISONS;
 use crate::control::limit::limited;
 use crate::control::position::PositionController;
-use crate::control::robot_axes::{AxisCommand, Demand, RobotAxes};
+use crate::control::robot_axes::{AxisCommand, Demand, PositionDemand, RobotAxes};
 use crate::control::supervision::{Observation, Supervision};
 use crate::control::torque_feedback::Demanded;
 use crate::control::velocity::VelocityController;
@@ -69,6 +69,8 @@ pub struct Sampler<'a, G = RobotGroup<'a>> {
     controllers: [PositionController; AXES],
     velocity_controllers: [VelocityController; AXES],
     has_torque_axis: bool,
+    /// Demands of this millisecond on the axes in position mode.
+    positions: [PositionDemand; AXES],
     supervision: Supervision,
     commands: Consumer<'a, SamplerCommand>,
     setpoints: Consumer<'a, Queued>,
@@ -119,6 +121,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             controllers: axes.map(|axis| PositionController::new(&axis)),
             velocity_controllers: axes.map(|axis| VelocityController::new(&axis)),
             has_torque_axis: false,
+            positions: [PositionDemand::default(); AXES],
             supervision: Supervision::new(),
             commands,
             setpoints,
@@ -450,8 +453,8 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         let (setpoint_rad, measured_rad) = (self.now.setpoint.position_rad[AXIS], self.now.measured_rad[AXIS]);
         let whole = self.controllers[0].lead().whole;
         let controller = &mut self.controllers[AXIS];
-        if self.axes[AXIS].mode == AxisMode::Torque {
-            return controller.step_for_torque(setpoint_rad, measured_rad);
+        if self.axes[AXIS].mode != AxisMode::Velocity {
+            return self.control_without_velocity(AXIS, setpoint_rad, measured_rad);
         }
         let lead = controller.lead();
         let [low, high] = match lead.whole == whole {
@@ -462,6 +465,30 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
                 .map(|velocities| velocities[AXIS]),
         };
         controller.step_with(setpoint_rad, measured_rad, lead.between(low, high))
+    }
+
+    /// The velocity of an axis whose drive takes a torque or a position, rad/s: that to which the firmware, or the drive,
+    /// leads it.
+    #[inline(never)]
+    fn control_without_velocity(&mut self, axis: usize, setpoint_rad: f64, measured_rad: f64) -> f64 {
+        let (Some(controller), Some(demand)) = (self.controllers.get_mut(axis), self.positions.get_mut(axis)) else {
+            return 0.0;
+        };
+        if self.axes.get(axis).is_some_and(|axis| axis.mode == AxisMode::Torque) {
+            return controller.step_for_torque(setpoint_rad, measured_rad);
+        }
+        let lead = controller.lead();
+        let around = self.window.velocities_around(lead.whole);
+        let [low, high] = around.map(|velocities| velocities.get(axis).copied().unwrap_or(0.0));
+        let ahead_rad = self.window.position_rad(axis, controller.position_lead());
+        let [expected_rad_s, forward_rad_s] =
+            controller.step_for_position(setpoint_rad, measured_rad, lead.between(low, high));
+        *demand = PositionDemand {
+            angle_rad: ahead_rad.unwrap_or(setpoint_rad),
+            forward_rad_s,
+            expected_rad_s,
+        };
+        expected_rad_s
     }
 
     #[inline(never)]
@@ -550,6 +577,10 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         let demand = match self.axes[AXIS].mode {
             AxisMode::Velocity => Demand::Velocity(velocity_rad_s),
             AxisMode::Torque => Demand::Torque(self.torque_nm(AXIS, velocity_rad_s, target, moving)),
+            AxisMode::Position => {
+                let demand = self.positions.get(AXIS).filter(|_| moving);
+                return self.robot.write_position(AXIS, &mut self.group, target, demand);
+            }
         };
         let command = AxisCommand { target, demand };
         self.robot.write_axis::<AXIS>(&mut self.group, &command);

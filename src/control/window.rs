@@ -4,6 +4,7 @@
 //! over.
 
 use super::cycle::Queued;
+use super::position::Place;
 use crate::ethercat::queue;
 use crate::motion::Setpoint;
 use crate::robots::AXES;
@@ -84,6 +85,17 @@ impl Window {
         [whole, whole + 1].map(|ahead| &self.setpoints[(self.first + ahead.min(last)) % SLOTS].velocity_rad_s)
     }
 
+    /// Position of an axis `place` milliseconds from this one on, rad. After the end the last position is used; `None`
+    /// without setpoints.
+    pub(super) fn position_rad(&self, axis: usize, place: Place) -> Option<f64> {
+        let last = self.length.checked_sub(1)?;
+        let [low, high] = [place.whole, place.whole + 1].map(|ahead| {
+            let setpoint = &self.setpoints[(self.first + ahead.min(last)) % SLOTS];
+            setpoint.position_rad.get(axis).copied()
+        });
+        Some(place.between(low?, high?))
+    }
+
     /// An axis's velocities from this millisecond on, rad/s.
     pub(super) fn velocities_rad_s(&self, axis: usize) -> impl Iterator<Item = f64> {
         (0..self.length).map(move |ahead| {
@@ -130,6 +142,29 @@ mod tests {
                 "{whole} ms ahead"
             );
         }
+    }
+
+    #[test]
+    fn a_position_ahead_is_interpolated_and_stays_at_the_last() {
+        let mut queue = Queue::<Queued, 8>::new();
+        let (mut producer, mut consumer) = queue.split();
+        let mut window = Window::new();
+        assert_eq!(window.position_rad(1, Place::new(2.0)), None);
+        for position_rad in [1.0, 2.0, 4.0] {
+            let mut queued = queued(1, 0.0);
+            queued.setpoint.position_rad = [0.0, position_rad, 0.0, 0.0];
+            assert!(producer.enqueue(queued).is_ok());
+        }
+        window.fill(&mut consumer, 1);
+        for (ahead_ms, expected_rad) in [(0.0, 1.0), (0.25, 1.25), (1.5, 3.0), (2.0, 4.0), (9.5, 4.0)] {
+            assert_eq!(
+                window.position_rad(1, Place::new(ahead_ms)),
+                Some(expected_rad),
+                "{ahead_ms} ms ahead"
+            );
+        }
+        window.clear();
+        assert_eq!(window.position_rad(1, Place::new(0.0)), None);
     }
 
     #[test]

@@ -8,8 +8,8 @@ use super::robot::{Robot, path};
 use etherpen::application::{Fault, Mode};
 use etherpen::config::{AxisMode, Config};
 use etherpen::messages::Command;
-use etherpen::robots::{MAIN_AXES, Position};
-use host_tools::cell::{DriveState, Fault as CellFault, ResolverFault};
+use etherpen::robots::{AXES, MAIN_AXES, Position};
+use host_tools::cell::{CellOptions, DriveState, Fault as CellFault, ResolverFault, SlaveKind};
 use host_tools::random::Random;
 
 /// Where a motion begins, mm.
@@ -37,6 +37,8 @@ const LONG_MS: u64 = 1_000_000;
 const MOVES_RAD_S: f64 = 2.0e-3;
 /// Feedback gain around the firmware's own velocity loop, 1/s: a third of that loop's default bandwidth.
 const TORQUE_FEEDBACK_GAIN_PER_S: f64 = 40.0;
+/// Gain of the position loop of the cell's drives, 1/s.
+const POSITION_GAIN_PER_S: f64 = 100.0;
 
 /// A feedback fault of the table.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -262,11 +264,22 @@ pub(crate) fn with(mode: AxisMode, speed_mm_s: f64) -> Config {
     }
     for axis in &mut config.axes {
         axis.mode = mode;
-        if mode == AxisMode::Torque {
-            axis.feedback_gain_per_s = TORQUE_FEEDBACK_GAIN_PER_S;
+        match mode {
+            AxisMode::Velocity => {}
+            AxisMode::Torque => axis.feedback_gain_per_s = TORQUE_FEEDBACK_GAIN_PER_S,
+            AxisMode::Position => axis.feedback_gain_per_s = POSITION_GAIN_PER_S,
         }
     }
     config
+}
+
+/// A cell whose drives have the mode.
+pub(crate) fn cell_for(mode: AxisMode) -> CellOptions {
+    let mut options = CellOptions::default();
+    if mode == AxisMode::Position {
+        options.slaves = vec![SlaveKind::Cia402; AXES];
+    }
+    options
 }
 
 /// Largest distance of the ink of some strokes from other ink, mm.

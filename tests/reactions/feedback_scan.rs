@@ -1,9 +1,9 @@
-//! A scan over faults of the position feedback, speeds, axes, directions and poses, in both drive modes.
+//! A scan over faults of the position feedback, speeds, axes, directions and poses, in all modes of the drives.
 //!
 //! The tables are part of `docs/faults.md`; the tests compare. To renew them after an intended change, run
 //! `ETHERPEN_RENEW_FAULTS=1 cargo test --test reactions untrue_feedback` and review the difference.
 
-use crate::feedback::{Case, HARD_MM_S2, Kind, Outcome, case, drive, recover, with};
+use crate::feedback::{Case, HARD_MM_S2, Kind, Outcome, case, cell_for, drive, recover, with};
 use crate::robot::{Robot, Used};
 use etherpen::application::Mode;
 use etherpen::config::{AxisMode, Config};
@@ -21,7 +21,7 @@ const CASES: u64 = 8;
 /// Most deviation of the pen from its line, mm: up to 5 mm/s, and up to 1 m/s.
 const SLOW_MAX_MM: f64 = 5.0;
 const MEDIUM_MAX_MM: f64 = 20.0;
-/// Most deviation by a slip of a tenth and of a half, which torque mode does not notice, relative to the distance that
+/// Most deviation by a slip of a tenth and of a half, which torque and position mode need not notice, relative to the distance that
 /// the pen has moved: a joint that shows 0.9 of its motion moves by 1 / 0.9.
 const SLIP_MAX_OF_WAY: f64 = 1.0 / 0.9 - 1.0;
 const HALF_SLIP_MAX_OF_WAY: f64 = 1.0 / 0.5 - 1.0;
@@ -51,7 +51,7 @@ struct Worst {
 }
 
 fn scan(mode: AxisMode, cases: u64) -> Vec<(Kind, Vec<Worst>)> {
-    let mut robots = SPEEDS_MM_S.map(|speed_mm_s| Robot::idle_with(&with(mode, speed_mm_s)));
+    let mut robots = SPEEDS_MM_S.map(|speed_mm_s| Robot::of(&with(mode, speed_mm_s), cell_for(mode)).enabled());
     let mut table = Vec::new();
     for kind in Kind::ALL {
         let mut row = Vec::new();
@@ -100,8 +100,8 @@ fn assert_within_limits(mode: AxisMode, table: &[(Kind, Vec<Worst>)]) {
         for (speed_mm_s, worst) in SPEEDS_MM_S.iter().zip(row) {
             let deviation_mm = worst.deviation_mm;
             let slip = match (mode, kind) {
-                (AxisMode::Torque, Kind::Slipping) => Some(SLIP_MAX_OF_WAY),
-                (AxisMode::Torque, Kind::SlippingHalf) => Some(HALF_SLIP_MAX_OF_WAY),
+                (AxisMode::Torque | AxisMode::Position, Kind::Slipping) => Some(SLIP_MAX_OF_WAY),
+                (AxisMode::Torque | AxisMode::Position, Kind::SlippingHalf) => Some(HALF_SLIP_MAX_OF_WAY),
                 _ => None,
             };
             if let Some(most) = slip {
@@ -160,11 +160,19 @@ fn untrue_feedback_in_torque_mode_is_noticed_before_the_pen_has_gone_far() {
     compare("\n#### Torque mode\n", &rendered(&table));
 }
 
+#[test]
+fn untrue_feedback_in_position_mode_is_noticed_before_the_pen_has_gone_far() {
+    let table = scan(AxisMode::Position, CASES);
+    println!("{}", rendered(&table));
+    assert_within_limits(AxisMode::Position, &table);
+    compare("\n#### Position mode\n", &rendered(&table));
+}
+
 /// Drives a sound robot through some cases at a speed; returns the parts of their limits that the comparisons used.
 fn drive_sound(config: &Config, speed_mm_s: f64, options: CellOptions, seeds: Range<u64>) -> Used {
     let mode = config.axes[0].mode;
     let limit_mm = match mode {
-        AxisMode::Velocity => SOUND_MAX_MM,
+        AxisMode::Velocity | AxisMode::Position => SOUND_MAX_MM,
         AxisMode::Torque => SOUND_TORQUE_MAX_MM,
     };
     let mut robot = Robot::of(config, options).enabled();
@@ -184,9 +192,12 @@ fn drive_sound(config: &Config, speed_mm_s: f64, options: CellOptions, seeds: Ra
 
 #[test]
 fn a_sound_robot_keeps_to_its_line_in_the_same_motions() {
-    for speed_mm_s in SPEEDS_MM_S {
-        let config = with(AxisMode::Velocity, speed_mm_s);
-        drive_sound(&config, speed_mm_s, CellOptions::default(), 0..2);
+    for mode in [AxisMode::Velocity, AxisMode::Position] {
+        for speed_mm_s in SPEEDS_MM_S {
+            let config = with(mode, speed_mm_s);
+            let used = drive_sound(&config, speed_mm_s, cell_for(mode), 0..2);
+            println!("{mode:?} at {speed_mm_s} mm/s: {used:.3?}");
+        }
     }
 }
 

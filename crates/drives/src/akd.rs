@@ -31,6 +31,7 @@ pub static AKD: DriveDescription = DriveDescription {
         digits: Digits::Velocity,
     }),
     torque: None,
+    position: None,
     windows: Windows {
         outputs: 0x1100,
         inputs: 0x1140,

@@ -61,7 +61,7 @@ pub(crate) async fn unused<F: SlaveFactory<Layout = ProcessLayout>, const MESSAG
     kind: DriveKind,
     slave: &mut PreOperational<'_, '_, MESSAGE>,
 ) -> Result<Option<ProcessData<F>>, BusError> {
-    let mut modes = [AxisMode::Velocity, AxisMode::Torque].into_iter();
+    let mut modes = [AxisMode::Velocity, AxisMode::Torque, AxisMode::Position].into_iter();
     let Some((axis_mode, mode)) = modes.find_map(|mode| Some((mode, kind.mode(mode)?))) else {
         return Ok(None);
     };

@@ -1,4 +1,4 @@
-//! Any servo drive of CiA 402 in cyclic synchronous velocity and cyclic synchronous torque.
+//! Any servo drive of CiA 402 in cyclic synchronous velocity, torque and position.
 //!
 //! Used for every product that has no description of its own and reports in object 0x1000 that it is a servo drive of
 //! profile 402, servo or stepper. The entries below are mapped into the first process data object of each direction. A
@@ -6,14 +6,17 @@
 //! CiA 402; a torque digit is a thousandth of the motor's rated torque, velocity digits are as configured.
 
 use super::{
-    CONTROL_WORD, Clocks, Digits, DriveDescription, DriveSettings, ModeDescription, OPERATION_MODE_DISPLAY, POSITION,
-    QUICK_STOP_DECELERATION, Recognition, STATUS_WORD, SettingList, TORQUE, quick_stop_increments_s2,
+    AxisMode, CONTROL_WORD, Clocks, Digits, DriveDescription, DriveSettings, ModeDescription, OPERATION_MODE_DISPLAY,
+    POSITION, QUICK_STOP_DECELERATION, Recognition, STATUS_WORD, SettingList, TARGET_POSITION, TORQUE, VELOCITY_OFFSET,
+    position_settings, quick_stop_increments_s2,
 };
 use etherpen_ethercat::driver::{Entry, PdoChoice, Setting, Windows};
 use etherpen_ethercat::wire::coe::Object;
 
 /// Device type of a servo drive: profile 402, servo.
 pub const DEVICE_TYPE_SERVO: u32 = 0x0002_0192;
+/// Mode of operation: cyclic synchronous position.
+pub const CYCLIC_POSITION: i8 = 8;
 /// Mode of operation: cyclic synchronous velocity.
 pub const CYCLIC_VELOCITY: i8 = 9;
 /// Mode of operation: cyclic synchronous torque.
@@ -61,6 +64,27 @@ pub static GENERIC: DriveDescription = DriveDescription {
         ),
         digits: Digits::RatedTorque(RATED_TORQUE_DIGITS),
     }),
+    position: Some(ModeDescription {
+        operation_mode: CYCLIC_POSITION,
+        demand: VELOCITY_OFFSET,
+        outputs: PdoChoice::written(
+            0x1600,
+            &[
+                Entry::new(CONTROL_WORD, 16),
+                Entry::new(TARGET_POSITION, 32),
+                Entry::new(VELOCITY_OFFSET, 32),
+            ],
+        ),
+        inputs: PdoChoice::written(
+            0x1A00,
+            &[
+                Entry::new(STATUS_WORD, 16),
+                Entry::new(POSITION, 32),
+                Entry::new(OPERATION_MODE_DISPLAY, 8),
+            ],
+        ),
+        digits: Digits::Velocity,
+    }),
     windows: Windows {
         outputs: 0x1100,
         inputs: 0x1400,
@@ -69,7 +93,8 @@ pub static GENERIC: DriveDescription = DriveDescription {
     settings,
 };
 
-/// Quick stop and period; in the profile all of these objects but the ramp are optional.
+/// Quick stop and period, and the supervision of the position in position mode; in the profile all of these objects but
+/// the ramp are optional.
 pub(super) fn settings(axis: &DriveSettings) -> Option<SettingList> {
     let quick_stop = quick_stop_increments_s2(axis)?;
     let list = [
@@ -79,7 +104,11 @@ pub(super) fn settings(axis: &DriveSettings) -> Option<SettingList> {
         Setting::new(0x605A, 0, QUICK_STOP_RAMP_THEN_OFF, 2).optional(),
         Setting::of(QUICK_STOP_DECELERATION, quick_stop, 4).rounded(),
     ];
-    SettingList::from_slice(&list).ok()
+    let mut settings = SettingList::from_slice(&list).ok()?;
+    if axis.mode == AxisMode::Position {
+        settings.extend_from_slice(&position_settings(axis)?).ok()?;
+    }
+    Some(settings)
 }
 
 #[cfg(test)]

@@ -1,8 +1,8 @@
-//! Interfaces between control and drives: triggers, groups, and axes commanded by velocity or by torque.
+//! Interfaces between control and drives: triggers, groups, and axes commanded by velocity, torque or position.
 //!
 //! The names are those of the paper: an [`IoTrigger`] moves all values between memory and wire at one moment, an
-//! [`IoGroup`] holds the inputs and outputs of drives that belong together, and an axis is a [`VelocityIo`] or a
-//! [`TorqueIo`]. Control code written against these traits runs over EtherCAT
+//! [`IoGroup`] holds the inputs and outputs of drives that belong together, and an axis is a [`VelocityIo`], a
+//! [`TorqueIo`] or a [`PositionIo`]. Control code written against these traits runs over EtherCAT
 //! ([`EtherCatGroup`](crate::EtherCatGroup)), and without any bus ([`MemoryGroup`](crate::MemoryGroup)).
 //!
 //! Invariant: reading and writing values only accesses memory; only a trigger moves them to and from the wire.
@@ -89,4 +89,13 @@ pub trait VelocityIo {
 pub trait TorqueIo {
     /// The output that leads the drive towards `target` and, in operation, demands this torque at the joint, N m.
     fn set_torque(&mut self, target: DriveTarget, torque_nm: f64) -> DriveOutput;
+}
+
+/// An axis that is commanded by a position.
+pub trait PositionIo {
+    /// The output that leads the drive towards `target` and, in operation, demands this position, increments of the drive
+    /// (wrapping), and adds this velocity at the joint, rad/s, to the one of the drive's position loop.
+    ///
+    /// `None` holds the last position that was demanded. When the drive comes into operation, that is its position then.
+    fn set_position(&mut self, target: DriveTarget, position: Option<i32>, velocity_rad_s: f64) -> DriveOutput;
 }

@@ -67,7 +67,9 @@ impl ProcessLayout {
     pub fn encode(&self, output: &DriveOutput, outputs: &mut [u8]) {
         write(outputs, self.control, output.control.0.to_le_bytes());
         match self.mode {
-            AxisMode::Velocity => write(outputs, self.demand, output.demand_digits.to_le_bytes()),
+            AxisMode::Velocity | AxisMode::Position => {
+                write(outputs, self.demand, output.demand_digits.to_le_bytes());
+            }
             AxisMode::Torque => {
                 let digits = output.demand_digits.clamp(i16::MIN.into(), i16::MAX.into()) as i16;
                 write(outputs, self.demand, digits.to_le_bytes());
@@ -160,7 +162,7 @@ impl LayoutBuilder {
     /// A builder for a mode of a drive.
     pub const fn new(mode: AxisMode, description: &ModeDescription) -> Self {
         let demand_bits = match mode {
-            AxisMode::Velocity => 32,
+            AxisMode::Velocity | AxisMode::Position => 32,
             AxisMode::Torque => 16,
         };
         Self {
@@ -225,9 +227,16 @@ impl LayoutBuilder {
             input_length: length(self.input_bits)?,
             operation_mode: self.operation_mode,
             control: control.required()?,
-            demand: demand.required()?,
+            demand: match self.mode {
+                AxisMode::Velocity | AxisMode::Torque => demand.required()?,
+                // The velocity offset only makes the drive follow more closely.
+                AxisMode::Position => demand.offset,
+            },
             mode_output: mode_output.offset,
-            target_position: target_position.offset,
+            target_position: match self.mode {
+                AxisMode::Velocity | AxisMode::Torque => target_position.offset,
+                AxisMode::Position => target_position.required()?,
+            },
             position: position
                 .required()
                 .or_else(|error| internal.required().map_err(|_| error))?,

@@ -58,6 +58,12 @@ pub const POSITION: Object = Object::new(0x6064, 0);
 pub const TORQUE: Object = Object::new(0x6077, 0);
 /// Target position, 32 bits.
 pub const TARGET_POSITION: Object = Object::new(0x607A, 0);
+/// Following error above which the drive trips, 32 bits, increments.
+pub const FOLLOWING_WINDOW: Object = Object::new(0x6065, 0);
+/// Time for which the following error may be above its window, 16 bits, ms.
+pub const FOLLOWING_TIME_OUT: Object = Object::new(0x6066, 0);
+/// Velocity added to the position loop's, 32 bits; a drive need not have it.
+pub const VELOCITY_OFFSET: Object = Object::new(0x60B1, 0);
 /// Quick-stop deceleration, 32 bits.
 pub const QUICK_STOP_DECELERATION: Object = Object::new(0x6085, 0);
 
@@ -71,6 +77,8 @@ pub enum AxisMode {
     Velocity,
     /// A torque: the velocity loop is closed outside the drive.
     Torque,
+    /// A position: the drive interpolates between the targets and closes all loops.
+    Position,
 }
 
 /// Settings of a drive, and the scale of its values.
@@ -94,6 +102,8 @@ pub struct DriveSettings {
     pub peak_current_a: f64,
     /// Rated torque of the motor, N m.
     pub rated_torque_nm: f64,
+    /// Following error at the joint above which a drive in position mode trips, rad.
+    pub following_error_max_rad: f64,
 }
 
 impl Default for DriveSettings {
@@ -109,6 +119,7 @@ impl Default for DriveSettings {
             torque_constant_nm_a: 0.7,
             peak_current_a: 12.0,
             rated_torque_nm: 2.8,
+            following_error_max_rad: 0.05,
         }
     }
 }
@@ -127,10 +138,11 @@ pub struct DriveInput {
 /// Values sent to a drive each cycle.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct DriveOutput {
-    /// Velocity or torque demand, depending on the mode, in the drive's digits; limited to the object's range.
+    /// Velocity or torque demand, depending on the mode, in the drive's digits; limited to the object's range. In
+    /// position mode the velocity offset.
     pub demand_digits: i32,
-    /// Present position of the drive. Drives that map a target position get it as target, so that no mode change causes
-    /// a jump.
+    /// Target position, increments; the drive's present position while it does not follow targets, so that neither
+    /// enabling nor a change of mode causes a jump.
     pub position: i32,
     /// CiA 402 control word.
     pub control: ControlWord,
@@ -144,7 +156,8 @@ pub type SettingList = Vec<Setting, SETTINGS_MAX>;
 pub struct ModeDescription {
     /// Value of the mode of operation (0x6060).
     pub operation_mode: i8,
-    /// The object that takes the demand: 32 bits for a velocity, 16 bits for a torque.
+    /// The object that takes the demand: 32 bits for a velocity, 16 bits for a torque. In position mode the velocity
+    /// offset of 32 bits, which the drive may lack; the target position is always [`TARGET_POSITION`].
     pub demand: Object,
     /// Outputs to be assigned.
     pub outputs: PdoChoice,
@@ -225,6 +238,8 @@ pub struct DriveDescription {
     pub velocity: Option<ModeDescription>,
     /// Torque mode, if the drive has one.
     pub torque: Option<ModeDescription>,
+    /// Position mode, if the drive has one.
+    pub position: Option<ModeDescription>,
     /// Addresses of the process data if the SII has none.
     pub windows: Windows,
     /// Use of the distributed clocks if the SII does not describe it.
@@ -239,6 +254,7 @@ impl DriveDescription {
         match mode {
             AxisMode::Velocity => self.velocity.as_ref(),
             AxisMode::Torque => self.torque.as_ref(),
+            AxisMode::Position => self.position.as_ref(),
         }
     }
 }
@@ -265,9 +281,40 @@ pub fn quick_stop_increments_s2(axis: &DriveSettings) -> Option<u32> {
         .then_some(increments_s2 as u32)
 }
 
+/// Time for which the following error of a drive in position mode may be above its window, ms: a drive whose encoder jumps
+/// is to stop before it moves.
+const FOLLOWING_TIME_OUT_MS: u32 = 0;
+
+/// Settings of a drive in position mode: the window of its own following-error supervision and its time-out. A drive
+/// may lack them. `None` when the window does not fit 32 bits or is below 1 increment.
+fn position_settings(axis: &DriveSettings) -> Option<[Setting; 2]> {
+    let motor_rad = axis.following_error_max_rad * axis.gear.abs();
+    let increments = motor_rad / TAU * f64::from(axis.increments_per_revolution);
+    // The greatest number switches the supervision off.
+    let fits = (1.0..f64::from(u32::MAX)).contains(&increments);
+    fits.then(|| {
+        [
+            Setting::of(FOLLOWING_WINDOW, increments as u32, 4).optional(),
+            Setting::of(FOLLOWING_TIME_OUT, FOLLOWING_TIME_OUT_MS, 2).optional(),
+        ]
+    })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn the_following_window_is_written_in_increments_and_bounded() {
+        let mut axis = DriveSettings::default();
+        // 0.05 rad at the joint are 0.6 rad, that is 0.0955 revolutions, at the motor.
+        let [window, time_out] = position_settings(&axis).unwrap();
+        assert_eq!((window.value, time_out.value), (100_131, 0));
+        for unfit in [0.0, 1.0e9, f64::NAN] {
+            axis.following_error_max_rad = unfit;
+            assert_eq!(position_settings(&axis), None, "{unfit}");
+        }
+    }
 
     #[test]
     fn the_quick_stop_is_written_in_increments_and_bounded() {

@@ -2,11 +2,13 @@
 //!
 //! Invariants: a demand never exceeds the axis's limit; it is 0 unless the drive is in operation, meant to stay there,
 //! and takes this kind of demand; a drive that is not operational, or not in the mode that was set, is not enabled, so
-//! that it goes through the whole sequence afterwards.
+//! that it goes through the whole sequence afterwards. A target position begins where the drive is when it comes into
+//! operation, and changes by no more in a cycle than the axis's greatest velocity allows.
 
 use crate::cia402::{self, ControlWord, DriveState, DriveTarget, StatusWord};
-use crate::io::{GroupDrive, TorqueIo, VelocityIo};
+use crate::io::{GroupDrive, PositionIo, TorqueIo, VelocityIo};
 use crate::{AxisMode, DriveInput, DriveKind, DriveOutput, DriveSettings};
+use core::f64::consts::TAU;
 
 /// Largest demands on an axis.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -26,24 +28,30 @@ struct Scale {
     digits_per_unit: f64,
     /// Largest demand, rad/s or N m at the joint.
     limit: f64,
+    /// Largest change of the target position in a cycle, increments; at least 1.
+    step_max: i32,
 }
 
 impl Scale {
     fn new(settings: &DriveSettings, limits: &AxisLimits, drive: &GroupDrive) -> Option<Self> {
         let at_motor = drive.kind.mode(drive.mode)?.digits.per_unit(settings);
         let (digits_per_unit, limit) = match drive.mode {
-            AxisMode::Velocity => (at_motor * settings.gear, limits.velocity_rad_s.abs()),
+            AxisMode::Velocity | AxisMode::Position => (at_motor * settings.gear, limits.velocity_rad_s.abs()),
             AxisMode::Torque => (at_motor / settings.gear, limits.torque_nm.abs()),
         };
+        let increments_per_rad = settings.gear.abs() * f64::from(settings.increments_per_revolution) / TAU;
         Some(Self {
             kind: drive.kind,
             mode: drive.mode,
             digits_per_unit,
             limit,
+            step_max: ((limits.velocity_rad_s.abs() * increments_per_rad * CYCLE_S) as i32).max(1),
         })
     }
 }
 
+/// Length of a cycle, s.
+const CYCLE_S: f64 = 1.0e-3;
 /// Cycles in which a drive with power may show another mode; it gets no demand meanwhile.
 const MODE_CYCLES_MAX: u8 = 10;
 
@@ -57,6 +65,8 @@ pub struct ServoAxis {
     mode_in_effect: bool,
     /// Cycles with power in which the drive has shown another mode.
     without_mode: u8,
+    /// Last target position that the drive was to follow; `None` while it follows none.
+    target_position: Option<i32>,
 }
 
 impl Default for ServoAxis {
@@ -75,6 +85,7 @@ impl ServoAxis {
             state: StatusWord(0).state(),
             mode_in_effect: false,
             without_mode: 0,
+            target_position: None,
         }
     }
 
@@ -183,5 +194,30 @@ impl TorqueIo for ServoAxis {
     #[inline(always)]
     fn set_torque(&mut self, target: DriveTarget, torque_nm: f64) -> DriveOutput {
         self.output(target, AxisMode::Torque, torque_nm)
+    }
+}
+
+impl PositionIo for ServoAxis {
+    #[inline(never)]
+    fn set_position(&mut self, target: DriveTarget, position: Option<i32>, velocity_rad_s: f64) -> DriveOutput {
+        let wanted_rad_s = if position.is_some() { velocity_rad_s } else { 0.0 };
+        let output = self.output(target, AxisMode::Position, wanted_rad_s);
+        let follows = self.runs(&output);
+        let Some(scale) = self
+            .scale
+            .as_ref()
+            .filter(|scale| follows && scale.mode == AxisMode::Position)
+        else {
+            self.target_position = None;
+            return output;
+        };
+        let last = self.target_position.unwrap_or(self.position);
+        let change = position.unwrap_or(last).wrapping_sub(last);
+        let next = last.wrapping_add(change.clamp(-scale.step_max, scale.step_max));
+        self.target_position = Some(next);
+        DriveOutput {
+            position: next,
+            ..output
+        }
     }
 }

@@ -31,8 +31,8 @@ pub use etherpen_segment::{
 pub use faults::read_faults;
 pub use paper::{InkStroke, PEN_SPRING_MM};
 pub use physics::{
-    Backlash, Calibration, CellChoice, CellFileError, DeadTime, Friction, LoopKind, Payload, Physics, Resolver,
-    StructuralMode, TorqueMeasurement, Value, VelocityLoop,
+    Backlash, Calibration, CellChoice, CellFileError, DeadTime, Friction, LoopKind, Payload, Physics, PositionLoop,
+    Resolver, StructuralMode, TorqueMeasurement, Value, VelocityLoop,
 };
 
 use crate::random::Random;

@@ -57,6 +57,7 @@ impl Commissioning {
             brake_rad_s2: BRAKE_RAD_S2 * gear,
             velocity_loop: self.velocity_loop(index, gear),
             bandwidth_hz: self.physics.velocity_loop.bandwidth_hz,
+            position_gain_per_s: self.physics.position_loop.gain_per_s,
             friction_rad_s: friction.lag_rad_s * gear,
             torque_scale: 1.0 + sign * torque.scale_share,
             torque_offset_nm: sign * torque.offset_nm,

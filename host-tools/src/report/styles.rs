@@ -103,7 +103,7 @@ fn check(style: &str, mode: AxisMode) {
         "{style}"
     );
     let ink_max_mm = match mode {
-        AxisMode::Velocity => INK_MAX_MM,
+        AxisMode::Velocity | AxisMode::Position => INK_MAX_MM,
         AxisMode::Torque => INK_BY_TORQUE_MAX_MM,
     };
     assert!(report.ink_deviation_max_mm <= ink_max_mm, "{style}");

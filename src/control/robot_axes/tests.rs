@@ -274,6 +274,105 @@ fn while_a_drive_is_not_in_operation_its_set_points_are_where_it_is() {
     }
 }
 
+/// An axis in position mode at these increments, homed there at angle 0, in operation.
+fn position_axis(gear: f64, increments: i32) -> AxisState {
+    let mut axis = AxisState::new(&Axis {
+        gear,
+        ..Axis::default()
+    });
+    axis.adopt(Some(&drive(&generic::GENERIC, AxisMode::Position)));
+    axis.step(at(increments), 0);
+    axis.zero = Some(f64::from(increments));
+    axis
+}
+
+/// A demand for an angle, rad.
+fn to_angle(angle_rad: f64) -> PositionDemand {
+    PositionDemand {
+        angle_rad,
+        ..PositionDemand::default()
+    }
+}
+
+#[test]
+fn a_target_position_begins_where_the_drive_is_and_moves_no_faster_than_the_axis_may() {
+    // Within two revolutions of both ends of the drive's range.
+    for start in [0, 1_234_567, i32::MAX - 5, i32::MIN + 5] {
+        for gear in [12.0, -12.0] {
+            let mut axis = position_axis(gear, start);
+            let held = axis.output_position(DriveTarget::Enabled, None);
+            assert_eq!((held.position, held.demand_digits), (start, 0), "the first target");
+            // What the drive shows in the meantime does not move the target.
+            axis.step(at(start.wrapping_add(40)), 0);
+            assert_eq!(axis.output_position(DriveTarget::Enabled, None).position, start);
+            // 1 mrad at the joint is 12 mrad at the motor: 2003 increments.
+            let near = axis.output_position(DriveTarget::Enabled, Some(&to_angle(0.001)));
+            assert_eq!(
+                near.position.wrapping_sub(start),
+                (2_002.6 * gear.signum()).round() as i32
+            );
+            // 27 rad/s are 54,071 increments in a millisecond.
+            let far = axis.output_position(DriveTarget::Enabled, Some(&to_angle(1.0)));
+            let step = far.position.wrapping_sub(near.position);
+            assert_eq!(step, (54_071.0 * gear.signum()) as i32);
+            let nowhere = axis.output_position(DriveTarget::Enabled, Some(&to_angle(f64::NAN)));
+            assert_eq!(nowhere.position, far.position, "holds");
+        }
+    }
+}
+
+#[test]
+fn a_drive_that_does_not_follow_has_its_position_as_target_and_begins_anew_there() {
+    let mut axis = position_axis(12.0, 5_000);
+    axis.output_position(DriveTarget::Enabled, Some(&to_angle(0.001)));
+    let stop = axis.output_position(DriveTarget::QuickStop, Some(&to_angle(0.001)));
+    assert_eq!((stop.position, stop.control), (5_000, ControlWord::QUICK_STOP));
+    for (status, position) in [(0x0217, 5_300), (0x0250, 5_400), (0x0233, 5_500)] {
+        let input = DriveInput {
+            status: StatusWord(status),
+            ..at(position).unwrap()
+        };
+        axis.step(Some(input), 0);
+        let output = axis.output_position(DriveTarget::Enabled, Some(&to_angle(0.001)));
+        assert_eq!((output.position, output.demand_digits), (position, 0), "{status:#06x}");
+    }
+    axis.step(at(5_500), 0);
+    assert_eq!(axis.output_position(DriveTarget::Enabled, None).position, 5_500);
+    // An axis that is not homed has no angles.
+    axis.zero = None;
+    let output = axis.output_position(DriveTarget::Enabled, Some(&to_angle(0.3)));
+    assert_eq!(output.position, 5_500);
+}
+
+#[test]
+fn in_position_mode_the_velocity_of_the_drives_own_loop_is_compared_and_the_offset_is_sent() {
+    let mut axis = position_axis(12.0, 0);
+    let demand = PositionDemand {
+        angle_rad: 0.001,
+        forward_rad_s: 1.0,
+        expected_rad_s: 2.0,
+    };
+    let output = axis.output_position(DriveTarget::Enabled, Some(&demand));
+    assert_eq!((output.demand_digits, axis.sent), (16_021, 32_042));
+    assert!(axis.commanded);
+    // A hold expects what the drive's loop makes of an error beyond the one it may leave.
+    axis.step(at(2_003 - 201), 0);
+    axis.output_position(DriveTarget::Enabled, None);
+    let expected_rad_s = 80.0 * (0.0001 - 0.00002);
+    assert!(
+        (f64::from(axis.sent) - expected_rad_s * 16_021.4).abs() < 10.0,
+        "{}",
+        axis.sent
+    );
+    axis.step(at(2_003 - 20), 0);
+    axis.output_position(DriveTarget::Enabled, None);
+    assert_eq!(axis.sent, 0);
+    // Velocity and torque demands do not move such a drive.
+    for demand in [Demand::Velocity(1.0), Demand::Torque(1.0)] {
+        assert_eq!(axis.output(&enabled(demand)).demand_digits, 0);
+    }
+}
+
 #[test]
 fn a_motor_that_turns_the_other_way_is_turned_back() {
     let mut axis = AxisState::new(&Axis {

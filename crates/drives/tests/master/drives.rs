@@ -147,6 +147,59 @@ fn torque_takes_other_objects_of_the_same_drives() {
     });
 }
 
+/// The generic drive with the objects of cyclic synchronous position.
+fn position_drive() -> FakeSlave {
+    let mut slave = generic_drive();
+    for (object, length) in [
+        ((0x1600, 3), 4),
+        ((0x6065, 0), 4),
+        ((0x6066, 0), 2),
+        ((0x60C2, 1), 1),
+        ((0x60C2, 2), 1),
+    ] {
+        slave.objects.insert(object, vec![0xEE; length]);
+    }
+    slave
+}
+
+#[test]
+fn position_writes_the_period_and_the_window_and_gives_the_target_and_the_velocity_beside_it() {
+    operational(AxisMode::Position, segment(position_drive), |bench| {
+        for slave in &bench.segment.slaves {
+            assert_eq!(slave.objects[&(0x6060, 0)], [8]);
+            assert_eq!(slave.objects[&(0x1600, 2)], 0x607A_0020_u32.to_le_bytes());
+            assert_eq!(slave.objects[&(0x1600, 3)], 0x60B1_0020_u32.to_le_bytes());
+            assert_eq!(
+                (&slave.objects[&(0x60C2, 1)], &slave.objects[&(0x60C2, 2)]),
+                (&vec![1], &vec![0xFD])
+            );
+            assert_eq!(slave.objects[&(0x6065, 0)], 100_131_u32.to_le_bytes());
+            assert_eq!(slave.objects[&(0x6066, 0)], [0, 0]);
+        }
+        let layout = bench.exchange.plan().slaves[0].role.unwrap().layout;
+        let output = DriveOutput {
+            demand_digits: -2,
+            position: 0x0403_0201,
+            control: ControlWord(0x000F),
+        };
+        let mut bytes = [0; 10];
+        layout.encode(&output, &mut bytes);
+        assert_eq!(bytes, [0x0F, 0, 1, 2, 3, 4, 0xFE, 0xFF, 0xFF, 0xFF]);
+    });
+}
+
+#[test]
+fn a_drive_in_position_mode_may_lack_everything_but_its_target() {
+    // No room for the velocity offset, and none of the optional objects.
+    operational(AxisMode::Position, segment(generic_drive), |bench| {
+        assert_eq!(bench.segment.slaves[0].objects[&(0x1600, 0)], [2]);
+        assert_eq!(encoded(bench), [0x0F, 0, 0, 0, 0, 0]);
+    });
+    let object = Object::new(0x6060, 0);
+    let error = refusal(AxisMode::Position, FakeSegment::drives(4));
+    assert_eq!(error, BusError::Range { object }, "the AX2000 has no such mode");
+}
+
 #[test]
 fn a_drive_that_keeps_its_assignment_is_used_as_it_is() {
     let fixed = || {

@@ -199,18 +199,18 @@ fn process_data() -> ProcessData {
     ProcessData::new(pdos, &default(0x1600), &default(0x1A00), 4)
 }
 
-fn get(servo: &Servo, index: u16) -> Option<i64> {
+fn get(servo: &Servo, index: u16, sub: u8) -> Option<i64> {
     let index = match index {
         0x6063 => 0x6064,
         INTERPOLATION => 0x607A,
         index => index,
     };
-    generic_drive::get(servo, index)
+    generic_drive::get(servo, index, sub)
 }
 
-fn set(servo: &mut Servo, index: u16, value: i64) -> Result<(), Abort> {
+fn set(servo: &mut Servo, index: u16, sub: u8, value: i64) -> Result<(), Abort> {
     let index = if index == INTERPOLATION { 0x607A } else { index };
-    generic_drive::set(servo, index, value)
+    generic_drive::set(servo, index, sub, value)
 }
 
 fn set_output(servo: &mut Servo, index: u16, value: i64) {

@@ -161,7 +161,7 @@ fn process_data() -> ProcessData {
     ProcessData::new(pdos, &[0x1702], &[0x1B01], 1)
 }
 
-fn get(servo: &Servo, index: u16) -> Option<i64> {
+fn get(servo: &Servo, index: u16, _sub: u8) -> Option<i64> {
     let drive = &servo.drive;
     let shown = servo.shown();
     Some(match index {
@@ -180,7 +180,7 @@ fn get(servo: &Servo, index: u16) -> Option<i64> {
     })
 }
 
-fn set(servo: &mut Servo, index: u16, value: i64) -> Result<(), Abort> {
+fn set(servo: &mut Servo, index: u16, _sub: u8, value: i64) -> Result<(), Abort> {
     let drive = &mut servo.drive;
     match (index, value) {
         (0x6060, MODE_POSITION) => drive.mode = MODE_POSITION as i8,

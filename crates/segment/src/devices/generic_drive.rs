@@ -2,8 +2,9 @@
 //!
 //! Vendor and product number belong to this project, not to a manufacturer. Modes: cyclic synchronous position (8),
 //! velocity (9) and torque (10). Velocity is in the drive's velocity digits, torque in 1/1000 of the rated torque,
-//! position in increments over all turns. It keeps files, which are written in BOOT, where its mailboxes have other
-//! places and lengths. Objects: CiA 402; mapping: CiA 301, and 0x1C12, 0x1C13.
+//! position in increments over all turns. In position mode the drive interpolates between the targets and trips on too
+//! great a following error. It keeps files, which are written in BOOT, where its mailboxes have other places and
+//! lengths. Objects: CiA 402; mapping: CiA 301, and 0x1C12, 0x1C13.
 
 use crate::controller::silicon::Silicon;
 use crate::devices::servo_device::Model;
@@ -124,33 +125,38 @@ const OBJECTS: &[ObjectRow] = &[
         "Target position",
         &[(0, "Target position", Integer32, READ_WRITE | RX, Live)],
     ),
+    variable(
+        0x6062,
+        "Position demand value",
+        &[(0, "Position demand value", Integer32, READ | TX, Live)],
+    ),
+    variable(
+        0x6065,
+        "Following error window",
+        &[(0, "Following error window", Unsigned32, READ_WRITE, Live)],
+    ),
+    variable(
+        0x6066,
+        "Following error time out",
+        &[(0, "Following error time out", Unsigned16, READ_WRITE, Live)],
+    ),
+    variable(
+        0x60B1,
+        "Velocity offset",
+        &[(0, "Velocity offset", Integer32, READ_WRITE | RX, Live)],
+    ),
     record(
         0x60C2,
         "Interpolation time period",
         &[
-            (
-                1,
-                "Interpolation time period value",
-                Unsigned8,
-                READ_WRITE,
-                Stored {
-                    first: 1,
-                    low: 1,
-                    high: 100,
-                },
-            ),
-            (
-                2,
-                "Interpolation time index",
-                Integer8,
-                READ_WRITE,
-                Stored {
-                    first: -3,
-                    low: -6,
-                    high: -3,
-                },
-            ),
+            (1, "Interpolation time period value", Unsigned8, READ_WRITE, Live),
+            (2, "Interpolation time index", Integer8, READ_WRITE, Live),
         ],
+    ),
+    variable(
+        0x60F4,
+        "Following error actual value",
+        &[(0, "Following error actual value", Integer32, READ | TX, Live)],
     ),
     variable(
         0x60FF,
@@ -213,7 +219,7 @@ fn process_data() -> ProcessData {
 }
 
 /// Reads a live object of a CiA 402 drive.
-pub(crate) fn get(servo: &Servo, index: u16) -> Option<i64> {
+pub(crate) fn get(servo: &Servo, index: u16, sub: u8) -> Option<i64> {
     let drive = &servo.drive;
     let demand = &servo.demand;
     let shown = servo.shown();
@@ -224,19 +230,27 @@ pub(crate) fn get(servo: &Servo, index: u16) -> Option<i64> {
         0x6041 => shown.status.into(),
         0x6060 => drive.mode.into(),
         0x6061 => drive.mode_display.into(),
+        0x6062 => drive.position_loop.demanded().unwrap_or(shown.position).into(),
         0x6064 => shown.position.into(),
+        0x6065 => drive.position_loop.window.into(),
+        0x6066 => drive.position_loop.time_out_ms.into(),
         0x606C => shown.velocity.into(),
         0x6071 => demand.torque_digits.into(),
         0x6077 => shown.torque.into(),
         0x607A => demand.position.unwrap_or(shown.position).into(),
         0x6085 => drive.quick_stop_increments_s2.into(),
+        0x60B1 => demand.velocity_offset.unwrap_or(0).into(),
+        0x60C2 if sub == 1 => drive.position_loop.period_number.into(),
+        0x60C2 => drive.position_loop.period_index.into(),
+        0x60F4 => drive.position_loop.error(drive.position()).into(),
         0x60FF => demand.velocity_digits.into(),
         _ => return None,
     })
 }
 
 /// Writes an object of a CiA 402 drive.
-pub(crate) fn set(servo: &mut Servo, index: u16, value: i64) -> Result<(), Abort> {
+pub(crate) fn set(servo: &mut Servo, index: u16, sub: u8, value: i64) -> Result<(), Abort> {
+    let position_loop = &mut servo.drive.position_loop;
     match (index, value) {
         (0x6060, mode) => match i8::try_from(mode) {
             Ok(mode @ (0 | MODE_CYCLIC_POSITION | MODE_CYCLIC_VELOCITY | MODE_CYCLIC_TORQUE)) => {
@@ -248,6 +262,11 @@ pub(crate) fn set(servo: &mut Servo, index: u16, value: i64) -> Result<(), Abort
             servo.drive.quick_stop_increments_s2 = u32::try_from(value).map_err(|_| Abort::VALUE)?;
         }
         (0x6085, _) => return Err(Abort::VALUE),
+        (0x6065, _) => position_loop.window = u32::try_from(value).map_err(|_| Abort::VALUE)?,
+        (0x6066, _) => position_loop.time_out_ms = u16::try_from(value).map_err(|_| Abort::VALUE)?,
+        (0x60C2, 1..=255) if sub == 1 => position_loop.period_number = value as u8,
+        (0x60C2, -6..=-3) if sub == 2 => position_loop.period_index = value as i8,
+        (0x60C2, _) => return Err(Abort::VALUE),
         _ => set_output(servo, index, value),
     }
     Ok(())
@@ -260,10 +279,11 @@ pub(crate) fn set_output(servo: &mut Servo, index: u16, value: i64) {
         0x6040 => demand.control = value as u16,
         0x6060 => {
             // An unsupported mode in the process data leaves the present mode in effect.
-            let _ = set(servo, index, value);
+            let _ = set(servo, index, 0, value);
         }
         0x6071 => demand.torque_digits = value as i16,
         0x607A => demand.position = Some(value as i32),
+        0x60B1 => demand.velocity_offset = Some(value as i32),
         0x60FF => demand.velocity_digits = value as i32,
         _ => {}
     }

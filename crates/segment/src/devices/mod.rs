@@ -99,6 +99,8 @@ pub(crate) trait Device: LiveObjects + fmt::Debug + Send {
     fn coast(&mut self) {}
     /// Samples the inputs of this millisecond, after every motor has moved.
     fn sample(&mut self) {}
+    /// Tells whether no outputs arrived since the last millisecond.
+    fn set_outputs_missed(&mut self, _missed: bool) {}
     /// Handles the loss of cyclic data.
     fn cyclic_data_lost(&mut self) {}
     /// The next emergency.

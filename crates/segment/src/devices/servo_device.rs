@@ -82,9 +82,9 @@ pub(crate) struct Model {
     pub(crate) profile: Profile,
     pub(crate) process_data: fn() -> ProcessData,
     /// Reads a live object.
-    pub(crate) get: fn(&Servo, u16) -> Option<i64>,
+    pub(crate) get: fn(&Servo, u16, u8) -> Option<i64>,
     /// Writes an object through the mailbox.
-    pub(crate) set: fn(&mut Servo, u16, i64) -> Result<(), Abort>,
+    pub(crate) set: fn(&mut Servo, u16, u8, i64) -> Result<(), Abort>,
     /// Takes an object from the outputs.
     pub(crate) set_output: fn(&mut Servo, u16, i64),
 }
@@ -113,12 +113,12 @@ impl ServoDevice {
 }
 
 impl LiveObjects for ServoDevice {
-    fn get(&self, index: u16, _sub: u8) -> Option<i64> {
-        (self.model.get)(&self.servo, index)
+    fn get(&self, index: u16, sub: u8) -> Option<i64> {
+        (self.model.get)(&self.servo, index, sub)
     }
 
-    fn set(&mut self, index: u16, _sub: u8, value: i64) -> Result<(), Abort> {
-        (self.model.set)(&mut self.servo, index, value)
+    fn set(&mut self, index: u16, sub: u8, value: i64) -> Result<(), Abort> {
+        (self.model.set)(&mut self.servo, index, sub, value)
     }
 
     fn set_output(&mut self, index: u16, _sub: u8, value: i64) {
@@ -182,6 +182,10 @@ impl Device for ServoDevice {
 
     fn sample(&mut self) {
         self.servo.sample();
+    }
+
+    fn set_outputs_missed(&mut self, missed: bool) {
+        self.servo.demand.is_missed = missed;
     }
 
     fn cyclic_data_lost(&mut self) {

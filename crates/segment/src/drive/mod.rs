@@ -6,6 +6,7 @@
 
 pub(crate) mod motor;
 mod options;
+pub(crate) mod position_loop;
 pub(crate) mod resolver;
 pub(crate) mod servo;
 pub(crate) mod velocity_loop;
@@ -13,6 +14,7 @@ pub(crate) mod velocity_loop;
 pub use options::DriveOptions;
 
 use motor::{Action, Motor};
+use position_loop::PositionLoop;
 use resolver::{Resolver, ResolverFault};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
@@ -34,13 +36,17 @@ pub(crate) const RATED_TORQUE_MNM: u32 = 2_800;
 const PEAK_TORQUE_NM: f64 = 8.4;
 /// Digits of an AX2000 at peak current.
 const PEAK_CURRENT_DIGITS: f64 = 3_280.0;
-/// Gain of the position loop in cyclic synchronous position mode, 1/s.
-const POSITION_GAIN_PER_S: f64 = 100.0;
 /// Error code for the loss of cyclic data.
 const ERROR_CYCLIC_DATA_LOST: u16 = 0x8130;
+/// Error code of an encoder that cannot be true.
+const ERROR_ENCODER: u16 = 0x7305;
+/// Error code for a following error above its window.
+const ERROR_FOLLOWING: u16 = 0x8611;
 
 /// Highest possible speed of the motor, revolutions per minute.
 const SPEED_MAX_RPM: f64 = 6000.0;
+/// Speed of the encoder, relative to that, beyond which the position loop does not believe it.
+const ENCODER_SPEED_SHARE: f64 = 1.5;
 
 const CONTROL_SWITCH_ON: u16 = 0x0001;
 const CONTROL_ENABLE_VOLTAGE: u16 = 0x0002;
@@ -50,6 +56,9 @@ const CONTROL_FAULT_RESET: u16 = 0x0080;
 
 const STATUS_VOLTAGE: u16 = 0x0010;
 const STATUS_REMOTE: u16 = 0x0200;
+/// In cyclic synchronous position: the drive follows the targets; the following error is above its window.
+const STATUS_FOLLOWS: u16 = 0x1000;
+const STATUS_FOLLOWING_ERROR: u16 = 0x2000;
 
 /// State of the drive as CiA 402 names it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -102,8 +111,13 @@ pub(crate) struct Demand {
     pub(crate) torque_digits: i16,
     /// Position, increments; `None` holds the present one.
     pub(crate) position: Option<i32>,
+    /// Velocity added to that of the position loop, digits of object 0x60FF. Without one, the drive takes the speed of the
+    /// target position.
+    pub(crate) velocity_offset: Option<i32>,
     /// Control word.
     pub(crate) control: u16,
+    /// Whether no new outputs arrived in this millisecond.
+    pub(crate) is_missed: bool,
 }
 
 /// One drive with its motor.
@@ -124,7 +138,7 @@ pub(crate) struct Drive {
     second_millisecond: bool,
     mains: bool,
     resolver: Resolver,
-    target_position: Option<i32>,
+    pub(crate) position_loop: PositionLoop,
     emergencies: VecDeque<u16>,
 }
 
@@ -152,7 +166,7 @@ impl Drive {
             second_millisecond: false,
             mains: true,
             resolver: Resolver::new(0.0, noise_seed),
-            target_position: None,
+            position_loop: PositionLoop::new(options.increments_per_revolution),
             emergencies: VecDeque::new(),
         };
         drive.resolver = Resolver::new(options.noise_increments / drive.increments_per_rad(), noise_seed)
@@ -174,6 +188,7 @@ impl Drive {
         self.quick_stop_increments_s2 = (self.options.quick_stop_rad_s2 * self.increments_per_rad()) as u32;
         self.control = 0;
         self.error_code = 0;
+        self.position_loop = PositionLoop::new(self.options.increments_per_revolution);
         self.emergencies.clear();
         self.status = self.state.status_bits();
     }
@@ -316,14 +331,16 @@ impl Drive {
         if self.second_millisecond {
             let voltage = if self.mains { STATUS_VOLTAGE } else { 0 };
             let remote = if demand.is_some() { STATUS_REMOTE } else { 0 };
-            self.status = self.state.status_bits() | voltage | remote;
+            self.status = self.state.status_bits() | voltage | remote | self.following_bits();
         }
     }
 
     /// The action on the motor in this millisecond.
     fn action(&mut self, demand: Demand) -> Action {
-        let last_target = self.target_position;
-        self.target_position = None;
+        let in_position_mode = self.mode_display == MODE_CYCLIC_POSITION;
+        if !(in_position_mode && self.state == DriveState::OperationEnabled) {
+            self.position_loop.stop();
+        }
         match self.state {
             DriveState::OperationEnabled => match self.mode_display {
                 MODE_DIGITAL_SPEED | MODE_CYCLIC_VELOCITY => self.speed(demand.velocity_digits),
@@ -331,27 +348,54 @@ impl Drive {
                     let torque_nm = f64::from(demand.torque_digits) * self.torque_nm_per_digit();
                     Action::Torque(torque_nm.clamp(-PEAK_TORQUE_NM, PEAK_TORQUE_NM))
                 }
-                MODE_CYCLIC_POSITION => {
-                    let target = demand.position.or(last_target).unwrap_or(self.true_position());
-                    self.target_position = Some(target);
-                    let error = f64::from(target.wrapping_sub(self.true_position()));
-                    let ahead = f64::from(target.wrapping_sub(last_target.unwrap_or(target)));
-                    let increments_s = error * POSITION_GAIN_PER_S + ahead / motor::STEP_S;
-                    let rad_s = increments_s / self.increments_per_rad();
-                    self.speed((rad_s * self.digits_per_rad_s()) as i32)
-                }
+                MODE_CYCLIC_POSITION => self.follow(&demand),
                 _ => self.speed(0),
             },
-            DriveState::QuickStopActive | DriveState::FaultReactionActive => {
-                Action::Ramp(f64::from(self.quick_stop_increments_s2) / self.increments_per_rad())
-            }
+            DriveState::QuickStopActive | DriveState::FaultReactionActive => self.ramp(),
             _ => Action::Brake(self.options.brake_rad_s2),
         }
     }
 
+    fn ramp(&self) -> Action {
+        Action::Ramp(f64::from(self.quick_stop_increments_s2) / self.increments_per_rad())
+    }
+
+    /// The speed of the position loop: proportional to the error that the drive's own encoder shows, with feed-forward.
+    fn follow(&mut self, demand: &Demand) -> Action {
+        let target = demand.position.filter(|_| !demand.is_missed);
+        let speed_max_rad_s = ENCODER_SPEED_SHARE * SPEED_MAX_RPM / 60.0 * TAU;
+        let moved_max = speed_max_rad_s * self.increments_per_rad() * motor::STEP_S;
+        let Some(step) = self.position_loop.step(target, self.position(), moved_max) else {
+            self.fault(ERROR_ENCODER);
+            return self.ramp();
+        };
+        if self.position_loop.has_tripped() {
+            self.fault(ERROR_FOLLOWING);
+            return self.ramp();
+        }
+        let forward_rad_s = match demand.velocity_offset {
+            Some(digits) => f64::from(digits) / self.digits_per_rad_s(),
+            None => step.rate / motor::STEP_S / self.increments_per_rad(),
+        };
+        let correction_rad_s = step.error / self.increments_per_rad() * self.options.position_gain_per_s;
+        Self::limited_speed(correction_rad_s + forward_rad_s)
+    }
+
+    /// Bits of the status word in cyclic synchronous position.
+    fn following_bits(&self) -> u16 {
+        match (self.position_loop.follows(), self.position_loop.is_outside()) {
+            (false, _) => 0,
+            (true, false) => STATUS_FOLLOWS,
+            (true, true) => STATUS_FOLLOWS | STATUS_FOLLOWING_ERROR,
+        }
+    }
+
     fn speed(&self, digits: i32) -> Action {
+        Self::limited_speed(f64::from(digits) / self.digits_per_rad_s())
+    }
+
+    fn limited_speed(speed_rad_s: f64) -> Action {
         let speed_max_rad_s = SPEED_MAX_RPM / 60.0 * TAU;
-        let speed_rad_s = f64::from(digits) / self.digits_per_rad_s();
         Action::Speed(speed_rad_s.max(-speed_max_rad_s).min(speed_max_rad_s))
     }
 
@@ -434,10 +478,6 @@ impl Drive {
         let step_rad = TAU / steps as f64;
         // Half an increment keeps rounding errors away from the boundary between two increments.
         (shaft_rad / step_rad).floor() * step_rad + 0.5 / self.increments_per_rad()
-    }
-
-    fn true_position(&self) -> i32 {
-        self.position_at(self.motor.angle_rad())
     }
 
     /// The position for a shaft angle since its mark.

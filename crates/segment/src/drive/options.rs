@@ -20,6 +20,8 @@ pub struct DriveOptions {
     pub velocity_loop: VelocityLoop,
     /// Bandwidth of a velocity loop that is a first-order lag, Hz; at least 0.1.
     pub bandwidth_hz: f64,
+    /// Gain of the position loop in cyclic synchronous position, 1/s.
+    pub position_gain_per_s: f64,
     /// Speed by which dry friction slows a first-order velocity loop down until its integral makes up for it, rad/s.
     pub friction_rad_s: f64,
     /// True torque for a demanded or shown torque of 1 N m.
@@ -52,6 +54,7 @@ impl Default for DriveOptions {
             brake_rad_s2: 4_800.0,
             velocity_loop: VelocityLoop::Lag,
             bandwidth_hz: 100.0,
+            position_gain_per_s: 100.0,
             friction_rad_s: 0.0,
             torque_scale: 1.0,
             torque_offset_nm: 0.0,

@@ -120,7 +120,10 @@ impl Servo {
     /// Advances by one millisecond with the processor stopped.
     pub(crate) fn coast(&mut self) {
         let demand = self.demands.front().copied().unwrap_or_default();
-        self.drive.coast(demand);
+        self.drive.coast(Demand {
+            is_missed: true,
+            ..demand
+        });
     }
 
     /// Takes a sample, and shows the one taken `input_delay` milliseconds ago.

@@ -150,6 +150,7 @@ impl Slave {
         let state = self.application.state();
         let expired = self.run_watchdog(state == AlState::Operational);
         self.outputs_received &= state >= AlState::SafeOperational;
+        self.device.set_outputs_missed(self.unfed_ms > 0);
         if expired {
             self.application.retreat(AlState::SafeOperational, code::WATCHDOG);
             self.device.cyclic_data_lost();

@@ -11,8 +11,8 @@ mod sections;
 
 pub use file::{CellChoice, CellFileError};
 pub use sections::{
-    Backlash, Calibration, DeadTime, Friction, LoopKind, Payload, Resolver, StructuralMode, TorqueMeasurement,
-    VelocityLoop,
+    Backlash, Calibration, DeadTime, Friction, LoopKind, Payload, PositionLoop, Resolver, StructuralMode,
+    TorqueMeasurement, VelocityLoop,
 };
 
 use serde::{Deserialize, Serialize};
@@ -23,6 +23,8 @@ use serde::{Deserialize, Serialize};
 pub struct Physics {
     /// The drives' velocity loops.
     pub velocity_loop: VelocityLoop,
+    /// The drives' position loops.
+    pub position_loop: PositionLoop,
     /// Delays between bus and drives.
     pub dead_time: DeadTime,
     /// The motors' resolvers.
@@ -57,13 +59,14 @@ pub struct Value {
 }
 
 /// Number of numbers in [`Physics`].
-const VALUES: usize = 26;
+const VALUES: usize = 27;
 /// Name, unit, lowest and highest value of every number, in the order of [`Physics::numbers`].
 const BOUNDS: [(&str, &str, f64, f64); VALUES] = [
     ("velocity_loop.bandwidth_hz", "Hz", 1.0, 1_000.0),
     ("velocity_loop.integral_ms", "ms", 0.5, 10_000.0),
     ("velocity_loop.current_hz", "Hz", 50.0, 100_000.0),
     ("velocity_loop.speed_filter_hz", "Hz", 20.0, 100_000.0),
+    ("position_loop.gain_per_s", "1/s", 1.0, 500.0),
     ("dead_time.command_cycles", "cycles", 0.0, 20.0),
     ("dead_time.position_cycles", "cycles", 0.0, 20.0),
     ("dead_time.late_share", "", 0.0, 1.0),
@@ -92,6 +95,7 @@ impl Physics {
     /// An ideal robot behind first-order drives.
     pub const NOMINAL: Self = Self {
         velocity_loop: VelocityLoop::NOMINAL,
+        position_loop: PositionLoop::NOMINAL,
         dead_time: DeadTime::NOMINAL,
         resolver: Resolver::NOMINAL,
         torque: TorqueMeasurement::NOMINAL,
@@ -110,6 +114,7 @@ impl Physics {
             current_hz: 800.0,
             speed_filter_hz: 300.0,
         },
+        position_loop: PositionLoop { gain_per_s: 60.0 },
         dead_time: DeadTime {
             command_cycles: 2,
             position_cycles: 1,
@@ -166,6 +171,7 @@ impl Physics {
             self.velocity_loop.integral_ms,
             self.velocity_loop.current_hz,
             self.velocity_loop.speed_filter_hz,
+            self.position_loop.gain_per_s,
             f64::from(self.dead_time.command_cycles),
             f64::from(self.dead_time.position_cycles),
             self.dead_time.late_share,

@@ -29,6 +29,14 @@ pub struct VelocityLoop {
     pub speed_filter_hz: f64,
 }
 
+/// The drives' position loops, in cyclic synchronous position.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct PositionLoop {
+    /// Gain, 1/s.
+    pub gain_per_s: f64,
+}
+
 /// Delays between bus and drives.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(default, deny_unknown_fields)]
@@ -148,6 +156,10 @@ impl Resolver {
     };
 }
 
+impl PositionLoop {
+    pub(super) const NOMINAL: Self = Self { gain_per_s: 100.0 };
+}
+
 impl TorqueMeasurement {
     pub(super) const NOMINAL: Self = Self {
         scale_share: 0.0,
@@ -202,6 +214,7 @@ macro_rules! nominal_by_default {
 
 nominal_by_default!(
     VelocityLoop,
+    PositionLoop,
     DeadTime,
     Resolver,
     TorqueMeasurement,
