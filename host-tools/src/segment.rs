@@ -3,9 +3,12 @@
 //! The cell's time is this computer's, less the time in which this program was not scheduled: a real segment never
 //! pauses, so a busy computer must not look like a silent master.
 
+pub(crate) mod control;
+
 use crate::cell::{AlState, Cell, SlaveKind, SlaveState};
 use crate::error::{ProgramError, code};
 use crate::output_file::{OutputFile, unwritable};
+use control::{Control, Surroundings};
 use etherpen::ethercat::state::al_code_text;
 use etherpen_segment::capture::{Capture, Direction};
 use etherpen_segment::transport::SegmentPort;
@@ -13,7 +16,7 @@ use serde::Serialize;
 use std::fs::File;
 use std::io::BufWriter;
 use std::path::Path;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// Period in which the cell's time advances without frames.
 const STEP: Duration = Duration::from_millis(1);
@@ -91,18 +94,30 @@ impl SlaveSummary {
             slave,
             kind: kind.name(),
             powered: state.powered,
-            al_state: match state.al_state {
-                AlState::Init => "INIT",
-                AlState::PreOperational => "PREOP",
-                AlState::SafeOperational => "SAFEOP",
-                AlState::Operational => "OP",
-            },
+            al_state: state_name(state.al_state),
             al_status_code: state.al_status_code,
             al_status_text: al_code_text(state.al_status_code),
             drive: kind.is_drive().then(|| format!("{:?}", state.drive)),
             drive_error: state.drive_error,
         }
     }
+}
+
+/// Common name of a state.
+pub(crate) fn state_name(state: AlState) -> &'static str {
+    match state {
+        AlState::Init => "INIT",
+        AlState::PreOperational => "PREOP",
+        AlState::Bootstrap => "BOOT",
+        AlState::SafeOperational => "SAFEOP",
+        AlState::Operational => "OP",
+    }
+}
+
+/// The time of this computer, ns since 1970.
+fn wall_clock_ns() -> u64 {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u64::try_from(since.as_nanos()).unwrap_or(u64::MAX)
 }
 
 /// A cell that serves masters over a port.
@@ -114,6 +129,7 @@ pub(crate) struct ServedSegment {
     clock: Clock,
     replies: u64,
     ignored: u64,
+    looked: Instant,
 }
 
 impl ServedSegment {
@@ -132,7 +148,28 @@ impl ServedSegment {
             clock: Clock::new(),
             replies: 0,
             ignored: 0,
+            looked: Instant::now(),
         }
+    }
+
+    /// Carries out the commands that have come, at most once a millisecond.
+    ///
+    /// # Errors
+    /// stdout is closed.
+    pub(crate) fn obey(&mut self, control: &mut Control) -> Result<(), ProgramError> {
+        if self.looked.elapsed() < STEP {
+            return Ok(());
+        }
+        self.looked = Instant::now();
+        let surroundings = Surroundings {
+            paused_ms: self.paused_ms(),
+        };
+        control.serve(self.cell.segment_mut(), surroundings)
+    }
+
+    /// Time in which this program was not scheduled and the segment stood still, ms.
+    pub(crate) fn paused_ms(&self) -> u64 {
+        u64::try_from(self.clock.paused.as_millis()).unwrap_or(u64::MAX)
     }
 
     /// Waits for a frame, at most a millisecond, and answers it. `first` is called for the first EtherCAT frame.
@@ -142,6 +179,7 @@ impl ServedSegment {
     pub(crate) fn step(&mut self, first: &mut dyn FnMut()) -> Result<(), ProgramError> {
         let lost = |cause| ProgramError::new(code::CONNECTION, format!("the way to the masters was lost: {cause}"));
         let received = self.port.receive(STEP).map_err(lost)?;
+        let received_ns = wall_clock_ns();
         let now_us = self.clock.now_us();
         let Some((master, frame)) = received else {
             self.cell.advance_to(now_us);
@@ -149,29 +187,32 @@ impl ServedSegment {
         };
         let frames = self.cell.frames();
         let replies = self.cell.frame(now_us, &frame);
-        if self.cell.frames() == frames {
+        let is_ethercat = self.cell.frames() != frames;
+        if is_ethercat {
+            if frames == 0 {
+                first();
+            }
+            self.record(received_ns, Direction::Sent, &frame)?;
+        } else {
             self.ignored += 1;
-            return Ok(());
         }
-        if frames == 0 {
-            first();
-        }
-        self.record(now_us, Direction::Sent, &frame)?;
         for reply in replies {
             self.port.send(master, &reply).map_err(lost)?;
-            self.replies += 1;
-            let seen = self.port.on_the_wire(master, &reply);
-            self.record(now_us, Direction::Received, &seen)?;
+            if is_ethercat {
+                self.replies += 1;
+                let seen = self.port.on_the_wire(master, &reply);
+                self.record(wall_clock_ns(), Direction::Received, &seen)?;
+            }
         }
         Ok(())
     }
 
-    fn record(&mut self, now_us: u64, direction: Direction, frame: &[u8]) -> Result<(), ProgramError> {
+    fn record(&mut self, time_ns: u64, direction: Direction, frame: &[u8]) -> Result<(), ProgramError> {
         let Some(capture) = &mut self.capture else {
             return Ok(());
         };
         capture
-            .record(now_us, direction, frame)
+            .record_ns(time_ns, direction, frame)
             .map_err(|cause| ProgramError::failed("the capture", cause))
     }
 
@@ -180,6 +221,7 @@ impl ServedSegment {
     /// # Errors
     /// The capture cannot be written.
     pub(crate) fn finish(self, listens: String, ran: Duration) -> Result<SegmentSummary, ProgramError> {
+        let paused_ms = self.paused_ms();
         if let Some(capture) = self.capture {
             capture
                 .finish()
@@ -190,7 +232,7 @@ impl ServedSegment {
         Ok(SegmentSummary {
             listens,
             seconds: ran.as_secs_f64(),
-            paused_ms: u64::try_from(self.clock.paused.as_millis()).unwrap_or(u64::MAX),
+            paused_ms,
             frames: state.frames,
             replies: self.replies,
             ignored: self.ignored,

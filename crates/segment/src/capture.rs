@@ -1,6 +1,6 @@
 //! Packet capture: both directions of the wire as a pcapng file.
 //!
-//! The minimum of the format (draft-ietf-opsawg-pcapng): a section header, one Ethernet interface with microsecond time
+//! The minimum of the format (draft-ietf-opsawg-pcapng): a section header, one Ethernet interface with nanosecond time
 //! stamps, and an enhanced packet block with its direction for each frame. Blocks are written immediately, so a capture
 //! that is cut short is readable up to its last complete block.
 
@@ -15,8 +15,8 @@ const OPTION_END: u16 = 0;
 const OPTION_EPB_FLAGS: u16 = 2;
 const OPTION_IF_NAME: u16 = 2;
 const OPTION_IF_TSRESOL: u16 = 9;
-/// Time stamps count 10^-6 s.
-const TIME_RESOLUTION_MICROSECONDS: u8 = 6;
+/// Time stamps count 10^-9 s.
+const TIME_RESOLUTION_NANOSECONDS: u8 = 9;
 const INTERFACE_NAME: &[u8] = b"segment";
 
 /// Direction of a frame, seen from the master.
@@ -56,7 +56,7 @@ impl<W: Write> Capture<W> {
         body.extend_from_slice(&0u16.to_le_bytes());
         body.extend_from_slice(&0u32.to_le_bytes());
         put_option(&mut body, OPTION_IF_NAME, INTERFACE_NAME);
-        put_option(&mut body, OPTION_IF_TSRESOL, &[TIME_RESOLUTION_MICROSECONDS]);
+        put_option(&mut body, OPTION_IF_TSRESOL, &[TIME_RESOLUTION_NANOSECONDS]);
         put_option(&mut body, OPTION_END, &[]);
         capture.write_block(INTERFACE_DESCRIPTION, &body)?;
         Ok(capture)
@@ -67,11 +67,20 @@ impl<W: Write> Capture<W> {
     /// # Errors
     /// Error of the sink.
     pub fn record(&mut self, time_us: u64, direction: Direction, frame: &[u8]) -> io::Result<()> {
+        self.record_ns(time_us.saturating_mul(1_000), direction, frame)
+    }
+
+    /// Adds one Ethernet frame (without its check sequence), with its time in nanoseconds: of the caller's clock, or since
+    /// 1970.
+    ///
+    /// # Errors
+    /// Error of the sink.
+    pub fn record_ns(&mut self, time_ns: u64, direction: Direction, frame: &[u8]) -> io::Result<()> {
         let length = u32::try_from(frame.len()).unwrap_or(u32::MAX);
         let mut body = Vec::with_capacity(frame.len() + 40);
         body.extend_from_slice(&0u32.to_le_bytes());
-        body.extend_from_slice(&((time_us >> 32) as u32).to_le_bytes());
-        body.extend_from_slice(&(time_us as u32).to_le_bytes());
+        body.extend_from_slice(&((time_ns >> 32) as u32).to_le_bytes());
+        body.extend_from_slice(&(time_ns as u32).to_le_bytes());
         body.extend_from_slice(&length.to_le_bytes());
         body.extend_from_slice(&length.to_le_bytes());
         body.extend_from_slice(frame);
@@ -165,7 +174,7 @@ mod tests {
         let mut capture = Capture::new(Vec::new()).expect("memory");
         let start = capture.sink.len();
         capture
-            .record(0x0001_0000_0002, Direction::Received, &[1, 2, 3])
+            .record_ns(0x0001_0000_0002, Direction::Received, &[1, 2, 3])
             .expect("memory");
         let file = capture.finish().expect("memory");
         assert_eq!(file[start + 12..start + 20], [1, 0, 0, 0, 2, 0, 0, 0]);

@@ -258,8 +258,11 @@ fn split_items(text: &str) -> impl Iterator<Item = &str> {
     parts.map(str::trim)
 }
 
+/// A branch as text, with its port.
+type BranchText<'a> = (u8, &'a str);
+
 /// An item without its branches, and each branch with its port.
-fn split_branches(word: &str) -> Result<(&str, Vec<(u8, &str)>), SlaveListError> {
+fn split_branches(word: &str) -> Result<(&str, Vec<BranchText<'_>>), SlaveListError> {
     let wrong = || SlaveListError::Branch { word: word.to_owned() };
     let (mut head, mut texts) = (word, Vec::new());
     while let Some(inside) = head.strip_suffix(')') {

@@ -25,8 +25,8 @@ mod tuning;
 mod vibration;
 
 pub use etherpen_segment::{
-    AlState, ClockOptions, DriveState, Fault, MailFault, MailStep, PlaceOptions, Product, ResolverFault, SCRIPT_HELP,
-    Script, SiiFault, SlaveKind, SlaveList, SlaveListError, SlaveState, parse_slaves,
+    AlState, Branch, ClockOptions, DriveState, Fault, MailFault, MailStep, PlaceOptions, Product, ResolverFault,
+    SCRIPT_HELP, Script, SiiFault, SlaveKind, SlaveList, SlaveListError, SlaveState, parse_slaves,
 };
 pub use faults::read_faults;
 pub use paper::{InkStroke, PEN_SPRING_MM};
@@ -39,7 +39,7 @@ use crate::random::Random;
 use calibration::Residues;
 use etherpen::config::Config;
 use etherpen::robots::{AXES, JointAngles, JointVelocities, Position};
-use etherpen_segment::{Segment, SegmentOptions};
+use etherpen_segment::{Load, Segment, SegmentOptions};
 use joint::Gear;
 use machine::Machine;
 use std::collections::BTreeMap;
@@ -62,6 +62,8 @@ pub struct CellOptions {
     pub slaves: Vec<SlaveKind>,
     /// What is set on each slave; slaves beyond them have the default options.
     pub places: Vec<PlaceOptions>,
+    /// Cables that do not lead from one slave to the next.
+    pub branches: Vec<Branch>,
     /// Distributed clocks and the delays of the frames.
     pub clocks: ClockOptions,
     /// Busy time of a command to an information memory (SII), microseconds.
@@ -77,6 +79,7 @@ impl Default for CellOptions {
             faults: Script::default(),
             slaves: Vec::new(),
             places: Vec::new(),
+            branches: Vec::new(),
             clocks: ClockOptions::default(),
             sii_busy_us: SegmentOptions::default().sii_busy_us,
         }
@@ -162,6 +165,7 @@ impl Cell {
         let segment = SegmentOptions {
             slaves,
             places: options.places,
+            branches: options.branches,
             drives,
             clocks: options.clocks,
             sii_busy_us: options.sii_busy_us,
@@ -205,6 +209,11 @@ impl Cell {
     #[must_use]
     pub fn injected(&self) -> &BTreeMap<&'static str, u64> {
         self.segment.injected()
+    }
+
+    /// The segment with its slaves.
+    pub(crate) fn segment_mut(&mut self) -> &mut Segment<impl Load> {
+        &mut self.segment
     }
 
     /// The ink on the paper; the last stroke may still grow.

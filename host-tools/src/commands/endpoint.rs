@@ -2,7 +2,7 @@
 
 use etherpen_segment::transport::{Endpoint, udp_address};
 use std::net::SocketAddrV4;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 /// Options of a segment: its address for masters.
 #[derive(clap::Args, Debug)]
@@ -17,9 +17,17 @@ pub struct SegmentArguments {
     /// Unix socket (SOCK_SEQPACKET), one Ethernet frame per message.
     #[arg(long, value_name = "PATH")]
     unix: Option<PathBuf>,
+    /// Send the COMMAND to the segment with this control socket (--control) and print its answer.
+    #[arg(long, value_name = "PATH")]
+    tell: Option<PathBuf>,
 }
 
 impl SegmentArguments {
+    /// The control socket of the segment that gets a command, if one was given.
+    pub fn tell(&self) -> Option<&Path> {
+        self.tell.as_deref()
+    }
+
     /// The one that was given.
     pub fn endpoint(&self) -> Endpoint {
         match (&self.interface, &self.udp, &self.unix) {

@@ -103,8 +103,15 @@ impl Running {
 
     /// Sends a line to a program that was started with a pipe as its standard input.
     pub(crate) fn press_enter(&mut self) {
+        self.type_line("");
+    }
+
+    /// Sends a line to a program that was started with a pipe as its standard input.
+    pub(crate) fn type_line(&mut self, line: &str) {
         let input = self.child.stdin.as_mut().expect("standard input is a pipe");
-        input.write_all(b"\n").expect("the program reads");
+        input
+            .write_all(format!("{line}\n").as_bytes())
+            .expect("the program reads");
     }
 
     /// Waits until `found` returns a value for a program that is still running.

@@ -136,7 +136,7 @@ fn no_file_breaks_it() {
                 _ => drop(changed.remove(at)),
             }
         }
-        let wanted = (random.bits() % 2 == 0).then_some("IO-1");
+        let wanted = random.bits().is_multiple_of(2).then_some("IO-1");
         if let Ok(device) = EsiDevice::parse(&changed.concat(), wanted) {
             read += 1;
             Image::parse(device.image());
