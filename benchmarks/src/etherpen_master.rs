@@ -49,14 +49,15 @@ impl<const DRIVES: usize> Drives<'_, DRIVES> {
         let exchange = &self.exchange;
         self.places.iter().fold(true, |complete, (place, _)| {
             let input = exchange.image_at(*place).and_then(|image| read_drive(image));
-            black_box(input).is_some() & complete
+            input.map(black_box).is_some() & complete
         })
     }
 
     fn write(&mut self) {
         self.cycles = self.cycles.wrapping_add(1);
+        let velocity = self.cycles;
         for (_, place) in &self.places {
-            write_drive(self.exchange.output_at(*place), self.cycles, 0x0F);
+            write_drive(self.exchange.output_at(*place), velocity, 0x0F);
         }
     }
 }

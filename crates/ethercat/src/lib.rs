@@ -50,6 +50,8 @@ pub mod process_data;
 pub mod queue;
 #[cfg(test)]
 mod random;
+#[cfg(test)]
+mod reply_tests;
 pub mod slave;
 pub mod slave_set;
 pub mod state;

@@ -12,8 +12,9 @@ use crate::slave::Slave;
 use crate::wire::register::{self, FMMU_LEN, FmmuRepr, SyncManagerRepr};
 use crate::wire::{Address, Command};
 
-/// Start of the slaves' process data in the logical memory. Each slave has [`SPAN_BYTES_MAX`] bytes: its outputs, and
-/// directly behind them its inputs, so that one datagram may carry both.
+/// Start of the slaves' process data in the logical memory. Each slave has [`SPAN_BYTES_MAX`] bytes: its inputs, and
+/// directly behind them its outputs, so that one datagram may carry both. Inputs at the beginning of a datagram are taken
+/// fastest.
 pub const LOGICAL_START: u32 = 0x0001_0000;
 
 /// Watchdog units (100 us) in a millisecond.
@@ -30,9 +31,9 @@ pub fn cyclic_slave<F: SlaveFactory>(slave: &Slave<F>) -> CyclicSlave<F> {
     let layout = data.layout;
     let start = LOGICAL_START + u32::from(slave.position) * SPAN_BYTES_MAX as u32;
     CyclicSlave {
-        input_address: start + u32::from(data.output_length),
+        input_address: start,
         input_length: data.input_length,
-        output_address: start,
+        output_address: start + u32::from(data.input_length),
         output_length: data.output_length,
         watched: false,
         role: slave.member.map(|member| Role { member, device, layout }),

@@ -110,11 +110,28 @@ impl Share {
         1 << (self.slave & 31)
     }
 
+    /// Whether the first [`PIECE_LEN`] bytes of the data hold all inputs.
+    fn is_in_first_piece(&self) -> bool {
+        let is_first = usize::from(self.inputs) == DATAGRAM_HEADER_LEN;
+        self.input_length == 0 || is_first && usize::from(self.input_length) <= PIECE_LEN
+    }
+
     /// Bytes of the datagram.
     #[inline(always)]
     fn len(&self) -> usize {
         DATAGRAM_OVERHEAD + usize::from(self.length)
     }
+}
+
+/// How the slaves' inputs are copied.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Copying {
+    /// The first [`PIECE_LEN`] bytes of each slave's data, which hold its inputs.
+    FirstPieces,
+    /// The same, and then those inputs that lie elsewhere or are longer.
+    FirstPiecesAndOthers,
+    /// As many bytes as each slave has: a datagram ends too close to the frame's end for a whole piece.
+    Exact,
 }
 
 /// The datagrams of a frame that concern all slaves.
@@ -213,9 +230,7 @@ pub(super) struct Telegram<const SLAVES: usize> {
     all: u32,
     /// Slaves whose wrong working counter is an error: one bit for each.
     watched: u32,
-    /// Whether a slave's inputs are longer than one piece of an [`Image`], or end too close to the frame's end to be
-    /// copied as a whole piece.
-    is_copied_exactly: bool,
+    copying: Copying,
     cyclic: Chain,
     chain: Chain,
     pub(super) acyclic: Vec<Acyclic, ACYCLIC_MAX>,
@@ -235,7 +250,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
             common: Common::NONE,
             all: 0,
             watched: 0,
-            is_copied_exactly: false,
+            copying: Copying::FirstPieces,
             cyclic: Chain { last: 0, end: 0 },
             chain: Chain { last: 0, end: 0 },
             acyclic: Vec::new(),
@@ -258,7 +273,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         self.shares.clear();
         self.common = Common::NONE;
         (self.all, self.watched) = (0, 0);
-        self.is_copied_exactly = false;
+        self.copying = Copying::FirstPieces;
         self.cyclic = Chain {
             last: self.start(),
             end: self.start(),
@@ -349,8 +364,11 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         self.close(encapsulation);
         let mut start = self.start();
         for share in &self.shares {
-            let piece_end = start + usize::from(share.inputs) + PIECE_LEN;
-            self.is_copied_exactly |= usize::from(share.input_length) > PIECE_LEN || piece_end > self.cyclic.end;
+            if start + DATAGRAM_HEADER_LEN + PIECE_LEN > self.cyclic.end {
+                self.copying = Copying::Exact;
+            } else if !share.is_in_first_piece() && self.copying == Copying::FirstPieces {
+                self.copying = Copying::FirstPiecesAndOthers;
+            }
             start += share.len();
         }
     }
@@ -516,10 +534,15 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
     /// [`Ignored::Mismatch`] or [`Ignored::Circulating`].
     #[inline(always)]
     pub(super) fn take_inputs(&self, payload: &[u8], images: &mut [Image; SLAVES]) -> Result<Taken, Ignored> {
-        let shares = match self.is_copied_exactly {
-            false => compare_inputs(&self.shares, payload, images),
-            true => {
-                copy_exactly(&self.shares, payload, images);
+        let shares = match self.copying {
+            Copying::FirstPieces => compare_inputs(&self.shares, payload, images),
+            Copying::FirstPiecesAndOthers => {
+                let shares = compare_inputs(&self.shares, payload, images);
+                copy_exactly(&self.shares, payload, images, |share| !share.is_in_first_piece());
+                shares
+            }
+            Copying::Exact => {
+                copy_exactly(&self.shares, payload, images, |_| true);
                 compare_outputs(&self.shares, payload)
             }
         };
@@ -696,8 +719,8 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
     }
 }
 
-/// Compares the slaves' datagrams at the beginning of a reply with what was sent, and copies a piece of their inputs,
-/// which has to be there.
+/// Compares the slaves' datagrams at the beginning of a reply with what was sent, and copies the first piece of their
+/// data.
 ///
 /// A separate function so that all values of the loop fit into registers.
 #[inline(never)]
@@ -705,11 +728,13 @@ fn compare_inputs(shares: &[Share], payload: &[u8], images: &mut [Image]) -> Dif
     let (mut headers, mut counters) = (0, 0);
     let mut rest = payload;
     for (share, image) in shares.iter().zip(images) {
-        let Some(piece) = chunk(rest, share.inputs.into()) else {
+        let Some(beginning) = rest.first_chunk::<{ DATAGRAM_HEADER_LEN + PIECE_LEN }>() else {
             headers = u32::MAX;
             break;
         };
-        image.0[0] = *piece;
+        if let Some(piece) = beginning.last_chunk() {
+            image.0[0] = *piece;
+        }
         let Some((datagram, behind)) = rest.split_at_checked(share.len()) else {
             headers = u32::MAX;
             break;
@@ -749,14 +774,16 @@ fn compare(share: &Share, datagram: &[u8], headers: &mut u32, counters: &mut u32
     *counters |= u32::from(u16::from_le_bytes(*counter) ^ share.working_counter);
 }
 
-/// Copies all inputs, whatever their lengths.
+/// Copies the inputs of some slaves, whatever their lengths.
 #[inline(never)]
-fn copy_exactly(shares: &[Share], payload: &[u8], images: &mut [Image]) {
+fn copy_exactly(shares: &[Share], payload: &[u8], images: &mut [Image], is_copied: impl Fn(&Share) -> bool) {
     let mut rest = payload;
     for (share, image) in shares.iter().zip(images) {
-        let start = usize::from(share.inputs);
-        let inputs = rest.get(start..start + usize::from(share.input_length));
-        write_bytes(image.0.as_flattened_mut(), 0, inputs.unwrap_or(&[]));
+        if is_copied(share) {
+            let start = usize::from(share.inputs);
+            let inputs = rest.get(start..start + usize::from(share.input_length));
+            write_bytes(image.0.as_flattened_mut(), 0, inputs.unwrap_or(&[]));
+        }
         rest = rest.get(share.len()..).unwrap_or(&[]);
     }
 }

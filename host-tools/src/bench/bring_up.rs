@@ -1,7 +1,8 @@
-//! Number of frames that a master needs until four identical drives are in OP.
+//! Number of frames that a master needs until four identical drives are in OP, with their clocks set.
 //!
 //! Both masters use a freshly powered-up virtual cell of one kind. This project's master also writes ten objects to
-//! each drive, which count; ethercrab only does its default steps. The cell's time advances with the frames: a
+//! each drive, which count; ethercrab only does its default steps. Frames of this master that only carry the cyclic
+//! datagrams and the reference clock's time, while the clocks settle, are counted apart. The cell's time advances with the frames: a
 //! millisecond for each cycle of this master, a round trip of 100 us for each frame of ethercrab, which waits for
 //! replies only.
 
@@ -9,6 +10,7 @@ use super::{BenchError, programs};
 use crate::cell::{AlState, Cell, CellOptions};
 use etherpen::config::Config;
 use etherpen::ethercat::event::{BusCommand, BusEvent};
+use etherpen::ethercat::wire::{Command, FrameView, register};
 use etherpen::robot_bus::MASTER_ADDRESS;
 use etherpen::robot_bus::{RobotBusQueues, RobotExchange, RobotSupervisor};
 use std::io::{ErrorKind, Read, Write};
@@ -35,9 +37,37 @@ fn all_operational(cell: &Cell) -> bool {
     !slaves.is_empty() && slaves.iter().all(|slave| slave.al_state == AlState::Operational)
 }
 
-/// Frames of this project's bring-up, including the cyclic exchange.
-pub(super) fn etherpen() -> Result<u64, BenchError> {
-    let config = Config::default();
+/// Frames of a bring-up.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct Frames {
+    /// All but [`Self::settling`].
+    pub(super) acyclic: u64,
+    /// Frames that carry nothing but cyclic datagrams, the reference clock's time among them.
+    pub(super) settling: u64,
+}
+
+/// Whether a telegram carries the reference clock's time and nothing that is not cyclic.
+fn is_settling(telegram: &[u8]) -> bool {
+    let Ok(view) = FrameView::new_checked(telegram) else {
+        return false;
+    };
+    let (mut clocks, mut others) = (0, 0);
+    for datagram in view.datagrams().flatten() {
+        let register = (datagram.address().0 >> 16) as u16;
+        match Command::from_number(datagram.command_number()) {
+            Ok(Command::Lrd | Command::Lwr | Command::Lrw) => {}
+            Ok(Command::Brd) if register == register::AL_STATUS => {}
+            Ok(Command::Frmw) if register == register::DC_SYSTEM_TIME => clocks += 1,
+            _ => others += 1,
+        }
+    }
+    clocks > 0 && others == 0
+}
+
+/// Frames of this project's bring-up.
+pub(super) fn etherpen() -> Result<Frames, BenchError> {
+    let mut config = Config::default();
+    config.bus.clocks = true;
     let mut cell = Cell::new(&config, CellOptions::default());
     let mut queues = Box::new(RobotBusQueues::new());
     let (exchange_end, supervisor_end, mut application) = queues.split();
@@ -49,6 +79,7 @@ pub(super) fn etherpen() -> Result<u64, BenchError> {
     if application.commands.enqueue(BusCommand::Start(setup)).is_err() {
         return Err(failed("etherpen", "no room for the order"));
     }
+    let mut settling = 0;
     for now_ms in 0..BRING_UP_MS_MAX {
         for (output, time_us) in [(false, now_ms * 1000), (true, now_ms * 1000 + OUTPUT_AFTER_US)] {
             let telegram = if output {
@@ -56,6 +87,7 @@ pub(super) fn etherpen() -> Result<u64, BenchError> {
             } else {
                 exchange.input_telegram()
             };
+            settling += u64::from(is_settling(telegram));
             for reply in cell.frame(time_us, telegram) {
                 exchange.receive(&reply);
             }
@@ -65,7 +97,10 @@ pub(super) fn etherpen() -> Result<u64, BenchError> {
         }
         while let Some(event) = application.events.dequeue() {
             match event {
-                BusEvent::Operational if all_operational(&cell) => return Ok(cell.state().frames),
+                BusEvent::Operational if all_operational(&cell) => {
+                    let acyclic = cell.state().frames.saturating_sub(settling);
+                    return Ok(Frames { acyclic, settling });
+                }
                 BusEvent::Refused { .. } => return Err(failed("etherpen", format_args!("{event:?}"))),
                 _ => {}
             }
