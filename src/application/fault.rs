@@ -2,6 +2,7 @@
 //!
 //! Invariant: a fault alone says which axis or slave is concerned and by how much a limit was exceeded.
 
+use crate::config::IoRole;
 use crate::control::feedback::Implausible;
 use crate::ethercat::clock::steering::ClockFault;
 use crate::ethercat::port_state::PortState;
@@ -17,6 +18,15 @@ pub enum StopSource {
     Link,
     /// The board's input.
     Input,
+}
+
+/// Why an input of a terminal stops the drives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum InputCause {
+    /// The input is open: 0.
+    Open,
+    /// The input does not arrive, or its terminal is not in operation.
+    Missing,
 }
 
 /// The cause of a fault, with what was measured.
@@ -173,6 +183,15 @@ pub enum Fault {
         slave: u8,
         /// Expiries of the watchdog since the slave was brought up.
         expiries: u8,
+    },
+    /// A named input of a terminal stops the drives.
+    StopInput {
+        /// The input: its place in the configuration's `io`, from 0.
+        io: u8,
+        /// Its role.
+        role: IoRole,
+        /// Whether it is open or missing.
+        cause: InputCause,
     },
 }
 

@@ -9,6 +9,7 @@ mod commands;
 mod feedback;
 mod feedback_scan;
 mod feedback_soak;
+mod io;
 mod liveness;
 mod matrix;
 mod outside;

@@ -8,6 +8,7 @@
 pub mod discovery;
 pub mod information;
 mod objects;
+pub mod own_data;
 mod pre_operational;
 
 pub(crate) use objects::SYNC_MANAGER_OUTPUTS;
