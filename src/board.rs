@@ -5,7 +5,8 @@
 //!
 //! Invariant: no function here waits, locks or panics; a critical task may call all of them.
 
-use crate::application::{Fault, Mode, StopSource};
+use crate::application::{Fault, InputCause, Mode, StopSource};
+use crate::config::IoRole;
 pub use crate::ethercat::port_state::PortState;
 use heapless::String;
 use serde::{Deserialize, Serialize};
@@ -27,6 +28,11 @@ pub enum Interlock {
     EmergencyStop,
     /// The board runs on a clock that is not precise enough.
     Clock,
+    /// An emergency-stop input of a terminal is open.
+    Input {
+        /// Its place in the configuration's `io`, from 0.
+        io: u8,
+    },
 }
 
 impl Interlock {
@@ -35,6 +41,11 @@ impl Interlock {
         match self {
             Self::EmergencyStop => Fault::EmergencyStop(StopSource::Input),
             Self::Clock => Fault::ClockFailure,
+            Self::Input { io } => Fault::StopInput {
+                io,
+                role: IoRole::EmergencyStop,
+                cause: InputCause::Open,
+            },
         }
     }
 
@@ -118,6 +129,22 @@ impl Lamps {
             green,
             yellow: matches!(port, PortState::Up),
             red,
+        }
+    }
+}
+
+impl Lamps {
+    /// A single lamp that shows the mode; `ms` is any millisecond counter.
+    ///
+    /// It is off until the bus is operational, blinks slowly while the drives have no power or the angles are not known, is
+    /// on when the robot is enabled and at rest, blinks fast in motion, and flashes twice a second in a fault.
+    pub const fn single(mode: Mode, ms: u32) -> bool {
+        match mode {
+            Mode::Startup | Mode::BusConfiguring => false,
+            Mode::DrivesOff | Mode::Unreferenced => ms % 1_000 < 500,
+            Mode::Idle => true,
+            Mode::Moving | Mode::Drawing | Mode::Holding | Mode::Stopping => ms % 200 < 100,
+            Mode::Fault => ms % 500 < 100,
         }
     }
 }

@@ -8,7 +8,7 @@ pub use crate::application::Command;
 use crate::application::{Fault, Mode, Refusal};
 use crate::black_box;
 use crate::board::{Interlock, PortState, PreviousRun, RunEnd};
-use crate::config::{CONFIG_BYTES_MAX, Config, ConfigError};
+use crate::config::{CONFIG_BYTES_MAX, Config, ConfigError, IO_MAX, IoError};
 use crate::ethercat::diagnostics::{ServiceRequest, ServiceResult};
 use crate::link::message::MESSAGE_BYTES_MAX;
 use crate::link::{CommandEffect, Protocol, device, message};
@@ -206,6 +206,17 @@ pub struct Status {
     pub counters: Counters,
     /// Slaves in chain order.
     pub slaves: Vec<SlaveStatus, SLAVES_REPORTED>,
+    /// The named inputs and outputs, in the order of the configuration.
+    pub io: Vec<IoState, IO_MAX>,
+}
+
+/// State of a named input or output.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct IoState {
+    /// Its bits: of an input as last read, of an output as written.
+    pub raw: u32,
+    /// Whether its terminal exchanges it.
+    pub valid: bool,
 }
 
 /// Why a configuration was refused. The previous one stays in force.
@@ -217,6 +228,14 @@ pub enum ConfigRefusal {
     NotInMode(Mode),
     /// The dimensions do not form a valid robot.
     Geometry(GeometryError),
+    /// A named input or output cannot be used.
+    Io(IoError),
+}
+
+impl From<IoError> for ConfigRefusal {
+    fn from(error: IoError) -> Self {
+        Self::Io(error)
+    }
 }
 
 impl From<GeometryError> for ConfigRefusal {

@@ -8,7 +8,7 @@
 
 use crate::error::{ProgramError, code};
 use crate::link::text;
-use etherpen::config::{Config, ConfigError};
+use etherpen::config::{Config, ConfigError, IoError};
 use etherpen::control::robot_axes::resolver_angle_rad;
 use etherpen::robots::AXES;
 use std::fs::File;
@@ -45,6 +45,8 @@ pub enum SettingsError {
     Configuration(toml::de::Error),
     /// A value would be outside its bounds.
     Bounds(ConfigError),
+    /// A named input or output could not be used.
+    Io(IoError),
 }
 
 impl std::fmt::Display for SettingsError {
@@ -55,6 +57,7 @@ impl std::fmt::Display for SettingsError {
             Self::Place { axis, field } => write!(f, "there is no place for axes[{axis}].{field} in it"),
             Self::Configuration(cause) => f.write_str(&shortened(cause)),
             Self::Bounds(cause) => f.write_str(&text::config_error(cause)),
+            Self::Io(cause) => f.write_str(&text::io_error(cause)),
         }
     }
 }
@@ -107,6 +110,12 @@ pub fn load(path: Option<&Path>) -> Result<Config, ProgramError> {
         ProgramError::new(
             code::USAGE,
             format!("the configuration {shown} is wrong: {}", text::config_error(&cause)),
+        )
+    })?;
+    config.check_io().map_err(|cause| {
+        ProgramError::new(
+            code::USAGE,
+            format!("the configuration {shown} is wrong: {}", text::io_error(&cause)),
         )
     })?;
     Ok(config)
@@ -214,6 +223,7 @@ impl Settings {
     pub fn config(&self) -> Result<Config, SettingsError> {
         let config: Config = toml::from_str(&self.document.to_string()).map_err(SettingsError::Configuration)?;
         config.check().map_err(SettingsError::Bounds)?;
+        config.check_io().map_err(SettingsError::Io)?;
         Ok(config)
     }
 

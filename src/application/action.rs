@@ -50,4 +50,11 @@ pub enum Action {
     Motion(MotionCommand),
     /// Bring lost slaves back.
     RecoverBus,
+    /// Set an output of a terminal.
+    SetOutput {
+        /// The output: its place in the configuration's `io`, from 0.
+        io: u8,
+        /// Its bits.
+        value: u32,
+    },
 }

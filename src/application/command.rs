@@ -59,6 +59,35 @@ pub enum Command {
     Stop,
     /// Acknowledge a fault: clears it if its cause is gone, and brings lost slaves back.
     Acknowledge,
+    /// Set an output of a terminal.
+    SetOutput {
+        /// The output: its place in the configuration's `io`, from 0.
+        io: u8,
+        /// Its bits; a signed value in two's complement of its own length.
+        value: u32,
+    },
+}
+
+/// Why a named input or output was refused.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum IoRefusal {
+    /// The configuration has no such point.
+    Unknown,
+    /// It is an input.
+    IsInput,
+    /// The controller itself sets this output.
+    IsLamp,
+    /// The value has more bits than the output.
+    Range {
+        /// Bits of the output.
+        expected: u8,
+        /// The value.
+        actual: u32,
+    },
+    /// Its terminal is not in operation.
+    Missing,
+    /// This input holds the drawing.
+    Holds,
 }
 
 /// Why a command was refused. A refused command changes nothing.
@@ -105,4 +134,11 @@ pub enum Refusal {
     Busy,
     /// The fault is already acknowledged; the bus and drives are recovering.
     Recovering,
+    /// A named input or output is concerned.
+    Io {
+        /// Its place in the configuration's `io`, from 0.
+        io: u8,
+        /// Why.
+        reason: IoRefusal,
+    },
 }

@@ -21,12 +21,18 @@ pub struct Condition {
     pub standstill: bool,
     /// Fault of the first drive that reports one: [`Fault::Drive`].
     pub drive_fault: Option<Fault>,
-    /// The first axis whose drive sends no valid inputs, from 0.
+    /// Place in the chain, from 0, of the first axis whose drive sends no valid inputs.
     pub silent: Option<u8>,
     /// Fault latched by the critical tasks; the drives are already in quick stop.
     pub fault: Option<Fault>,
-    /// Board input that keeps the drives in quick stop.
+    /// Input that keeps the drives in quick stop.
     pub interlock: Option<Interlock>,
+    /// Fault of the first input of a terminal that keeps the drives from getting power: [`Fault::StopInput`].
+    pub stop_input: Option<Fault>,
+    /// The first input that holds drawings: its place in the configuration's `io`, from 0.
+    pub hold_input: Option<u8>,
+    /// Whether a start input is closed, and was open before.
+    pub start_input: bool,
 }
 
 impl Condition {
@@ -41,6 +47,9 @@ impl Condition {
         silent: Some(0),
         fault: None,
         interlock: None,
+        stop_input: None,
+        hold_input: None,
+        start_input: false,
     };
 }
 

@@ -2,6 +2,7 @@
 //!
 //! Invariant: a fault alone says which axis or slave is concerned and by how much a limit was exceeded.
 
+use crate::config::IoRole;
 use crate::control::feedback::Implausible;
 use crate::ethercat::clock::steering::ClockFault;
 use crate::ethercat::error::IdentityProperty;
@@ -18,6 +19,15 @@ pub enum StopSource {
     Link,
     /// The board's input.
     Input,
+}
+
+/// Why an input of a terminal stops the drives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum InputCause {
+    /// The input is open: 0.
+    Open,
+    /// The input does not arrive, or its terminal is not in operation.
+    Missing,
 }
 
 /// The cause of a fault, with what was measured.
@@ -187,6 +197,15 @@ pub enum Fault {
         found: u32,
         /// Where the expected slave is, or where the one found belongs, if that is known: position in the chain, from 0.
         other: Option<u8>,
+    },
+    /// A named input of a terminal stops the drives.
+    StopInput {
+        /// The input: its place in the configuration's `io`, from 0.
+        io: u8,
+        /// Its role.
+        role: IoRole,
+        /// Whether it is open or missing.
+        cause: InputCause,
     },
 }
 

@@ -18,9 +18,9 @@ mod mode;
 mod step;
 
 pub use action::{Action, Power};
-pub use command::{Command, Refusal};
+pub use command::{Command, IoRefusal, Refusal};
 pub use condition::{BusCondition, Condition, Progress};
-pub use fault::{Fault, StopSource};
+pub use fault::{Fault, InputCause, StopSource};
 pub use mode::Mode;
 
 use crate::motion::MotionCommand;
@@ -69,6 +69,8 @@ pub struct Application {
     now_ms: u32,
     condition: Condition,
     bus: Option<BusCondition>,
+    /// Whether a start input was closed in the last millisecond.
+    start_was_closed: bool,
     epoch: u8,
     override_percent: u8,
     enabling: Enabling,
@@ -100,6 +102,7 @@ impl Application {
             now_ms: 0,
             condition: Condition::UNKNOWN,
             bus: None,
+            start_was_closed: false,
             epoch: 0,
             override_percent: 100,
             enabling: Enabling::No,
@@ -156,6 +159,14 @@ impl Application {
             _ => false,
         };
         at_rest && self.stop.is_none() && self.enabling == Enabling::No && self.recovering_since_ms.is_none()
+    }
+
+    /// Whether outputs of terminals may be set: the bus is operational and no fault or stop is in progress.
+    pub fn may_set_outputs(&self) -> bool {
+        !matches!(
+            self.mode,
+            Mode::Startup | Mode::BusConfiguring | Mode::Stopping | Mode::Fault
+        )
     }
 
     /// Reports that a checked configuration was taken and that the bus is being brought up.
@@ -218,6 +229,12 @@ impl Application {
             }
             Command::Resume => {
                 self.require(Mode::Holding)?;
+                if let Some(io) = self.condition.hold_input {
+                    return Err(Refusal::Io {
+                        io,
+                        reason: IoRefusal::Holds,
+                    });
+                }
                 self.act(Action::Motion(MotionCommand::Resume));
                 self.enter_motion(Mode::Drawing);
                 Ok(())
@@ -242,6 +259,13 @@ impl Application {
             Command::Move { position } => self.start_move(MotionCommand::MoveTo(position)),
             Command::Pen { pen } => self.start_move(MotionCommand::Pen(pen)),
             Command::Jog { velocity_mm_s } => self.jog(velocity_mm_s),
+            Command::SetOutput { io, value } => {
+                if !self.may_set_outputs() {
+                    return Err(Refusal::NotInMode(self.mode));
+                }
+                self.act(Action::SetOutput { io, value });
+                Ok(())
+            }
         }
     }
 
@@ -311,6 +335,9 @@ impl Application {
         match self.mode {
             Mode::DrivesOff if self.enabling != Enabling::No || self.stop.is_some() => Err(Refusal::Moving),
             Mode::DrivesOff => {
+                if let Some(stop) = self.condition.stop_input {
+                    return Err(Refusal::CauseRemains(stop));
+                }
                 self.follow_from_here();
                 self.act(Action::Power(Power::On));
                 self.enabling = Enabling::Powering { since_ms: self.now_ms };
@@ -358,6 +385,16 @@ impl Application {
         }
         if let Some(interlock) = self.condition.interlock {
             return Err(Refusal::CauseRemains(interlock.fault()));
+        }
+        // A terminal that is missing has to be brought back first.
+        if let Some(
+            stop @ Fault::StopInput {
+                cause: InputCause::Open,
+                ..
+            },
+        ) = self.condition.stop_input
+        {
+            return Err(Refusal::CauseRemains(stop));
         }
         self.recovering_since_ms = Some(self.now_ms);
         if !self.has_configuration {

@@ -1,8 +1,8 @@
 //! The operating modes' step: transitions without a command, once a millisecond.
 
 use super::{
-    ACTIONS_MAX, Action, Application, BRAKE_DELAY_MS, BusCondition, Condition, ENABLE_MAX_MS, Enabling, Fault, Mode,
-    Power, Progress, RECOVERY_MAX_MS, STANDSTILL_MAX_MS, Stop,
+    ACTIONS_MAX, Action, Application, BRAKE_DELAY_MS, BusCondition, Command, Condition, ENABLE_MAX_MS, Enabling, Fault,
+    Mode, Power, Progress, RECOVERY_MAX_MS, STANDSTILL_MAX_MS, Stop,
 };
 use heapless::Vec;
 
@@ -38,6 +38,7 @@ impl Application {
         self.step_stop();
         self.step_recovery();
         self.step_motion(progress, host_silence_ms);
+        self.step_inputs();
         self.take_actions()
     }
 
@@ -153,6 +154,21 @@ impl Application {
         self.recovering_since_ms = None;
         self.fault = Some(fault);
         self.act(Action::Power(Power::Off));
+    }
+
+    /// Follows the hold and start inputs. A start that the mode refuses has no effect.
+    fn step_inputs(&mut self) {
+        if self.mode == Mode::Drawing && self.condition.hold_input.is_some() {
+            self.hold();
+        }
+        let was_closed = core::mem::replace(&mut self.start_was_closed, self.condition.start_input);
+        if self.condition.start_input && !was_closed {
+            let _ = match self.mode {
+                Mode::DrivesOff => self.command(Command::Enable),
+                Mode::Holding => self.command(Command::Resume),
+                _ => Ok(()),
+            };
+        }
     }
 
     fn step_motion(&mut self, progress: Progress, host_silence_ms: u32) {

@@ -20,13 +20,16 @@ impl Flags {
     const FAULT: u32 = 1 << 2;
     const STOP_OPEN: u32 = 1 << 3;
     const SUBSTITUTE_CLOCK: u32 = 1 << 4;
+    const INPUT_OPEN: u32 = 1 << 5;
     const VALID_FROM: usize = 8;
     const HOMED_FROM: usize = 16;
+    const INPUT_FROM: usize = 24;
 
     fn of(report: &CycleReport) -> Self {
         let interlock = match report.interlock {
             Some(Interlock::EmergencyStop) => Self::STOP_OPEN,
             Some(Interlock::Clock) => Self::SUBSTITUTE_CLOCK,
+            Some(Interlock::Input { io }) => Self::INPUT_OPEN | u32::from(io & 0xF) << Self::INPUT_FROM,
             None => 0,
         };
         let mut bits = interlock;
@@ -58,8 +61,13 @@ impl Flags {
         self.0 & Self::FAULT != 0
     }
 
-    /// The board's input that kept the drives in quick stop.
+    /// The input that kept the drives in quick stop.
     pub const fn interlock(self) -> Option<Interlock> {
+        if self.0 & Self::INPUT_OPEN != 0 {
+            return Some(Interlock::Input {
+                io: (self.0 >> Self::INPUT_FROM) as u8 & 0xF,
+            });
+        }
         Interlock::of(self.0 & Self::STOP_OPEN != 0, self.0 & Self::SUBSTITUTE_CLOCK != 0)
     }
 

@@ -7,17 +7,23 @@
 mod axis;
 mod bounds;
 mod bus;
+mod io;
 
 pub use axis::{Axis, AxisMode};
 pub use bounds::{ConfigError, Field, QUICK_STOP_MAX_MS};
 pub use bus::{AddressError, Bus, HostAddress, NetworkSettings, Transport};
 pub use etherpen_motion::settings::{Geometry, MotionLimits, Orientation, Paper, WorkCylinder};
+pub use io::{
+    IO_MAX, IO_NAME_MAX, IoDirection, IoError, IoName, IoPoint, IoPoints, IoRole, IoType, ObjectName, OnFault,
+};
 
-use crate::ethercat::slave_set::SlaveSet;
+use crate::ethercat::event::WantedValue;
+use crate::ethercat::wire::coe::Object;
 use crate::hash::fnv1a;
 use crate::robot_bus::{PERIOD_NS, RobotBusSetup};
 use crate::robots::AXES;
 use etherpen_motion::Settings;
+use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 /// The complete configuration.
@@ -36,6 +42,8 @@ pub struct Config {
     pub axes: [Axis; AXES],
     /// The bus.
     pub bus: Bus,
+    /// Named inputs and outputs of terminals.
+    pub io: IoPoints,
 }
 
 /// Joint angle at the synchronisation marks of the default configuration, radians: there the platform is in the
@@ -62,12 +70,14 @@ impl Default for Config {
             motion: MotionLimits::default(),
             axes: [main, main, main, fourth],
             bus: Bus::default(),
+            io: IoPoints::new(),
         }
     }
 }
 
 /// Longest encoded configuration, bytes.
-pub const CONFIG_BYTES_MAX: usize = 1280;
+pub const CONFIG_BYTES_MAX: usize = 1592;
+
 impl Config {
     /// Settings of motion.
     #[must_use]
@@ -86,7 +96,9 @@ impl Config {
     pub fn bus_setup(&self) -> RobotBusSetup {
         RobotBusSetup {
             members: self.bus.drives,
-            terminals: SlaveSet::NONE,
+            terminals: self.terminals(),
+            values: self.wanted_values(),
+            chosen: Vec::new(),
             settings: self.axes.each_ref().map(Axis::drive),
             exchange: self.bus.exchange,
             cycle_ns: PERIOD_NS,
@@ -94,6 +106,29 @@ impl Config {
             clocks: self.bus.clocks,
             sync_shift_us: self.bus.sync_shift_us,
         }
+    }
+
+    /// Checks the named inputs and outputs.
+    ///
+    /// # Errors
+    /// The first [`IoError`].
+    pub fn check_io(&self) -> Result<(), IoError> {
+        io::check(&self.io)
+    }
+
+    /// The values of the points that are named by their objects, in the order of the points; a point with a bit names
+    /// object 0, which no slave has.
+    fn wanted_values(&self) -> Vec<WantedValue, IO_MAX> {
+        let wanted = |point: &IoPoint| {
+            let object = point.object.unwrap_or(ObjectName { index: 0, sub: 0 });
+            WantedValue {
+                slave: point.slave,
+                direction: point.direction.into(),
+                object: Object::new(object.index, object.sub),
+                bits: if point.object.is_some() { point.kind.bits() } else { 0 },
+            }
+        };
+        self.io.iter().map(wanted).collect()
     }
 
     /// Hash of the configuration's postcard encoding: FNV-1a, 64 bits.
@@ -205,10 +240,50 @@ mod tests {
     }
 
     #[test]
+    fn a_configuration_with_as_many_points_as_possible_fits_a_message() {
+        let mut config = Config::default();
+        for number in 0..IO_MAX {
+            let mut name = IoName::new();
+            while name.push(char::from(b'a' + number as u8)).is_ok() {}
+            let point = IoPoint {
+                name,
+                slave: 15,
+                direction: IoDirection::In,
+                bit: None,
+                object: Some(ObjectName {
+                    index: u16::MAX,
+                    sub: u8::MAX,
+                }),
+                kind: IoType::I32,
+                role: IoRole::None,
+                on_fault: OnFault::Hold,
+            };
+            assert_eq!(config.io.push(point), Ok(()));
+        }
+        for axis in &mut config.axes {
+            axis.increments_per_revolution = 16_777_216;
+            axis.sync_increments = 16_777_215;
+        }
+        config.bus.segment = Ipv4Addr::new(223, 255, 255, 255);
+        assert_eq!((config.check(), config.check_io()), (Ok(()), Ok(())));
+        let mut buffer = [0; 4096];
+        let bytes = postcard::to_slice(&config, &mut buffer).unwrap().len();
+        std::println!("{bytes} of {CONFIG_BYTES_MAX} bytes");
+        assert!(config.hash().is_some());
+        assert!(config.io.push(IoPoint::default()).is_err());
+    }
+
+    #[test]
     fn any_changed_value_changes_the_hash() {
         let mut config = Config::default();
         let before = config.hash();
         config.axes[3].gear = 12.000001;
+        assert_ne!(config.hash(), before);
+        let before = config.hash();
+        config.io.push(IoPoint::default()).unwrap();
+        assert_ne!(config.hash(), before);
+        let before = config.hash();
+        config.io[0].role = IoRole::Door;
         assert_ne!(config.hash(), before);
     }
 }

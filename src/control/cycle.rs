@@ -9,6 +9,7 @@
 use crate::application::{Fault, Power};
 use crate::board::Interlock;
 use crate::config::{Axis, Bus};
+use crate::control::io::{IoPlaces, IoReport};
 use crate::ethercat::cyclic::BusCounters;
 use crate::motion::Setpoint;
 use crate::robots::{AXES, JointAngles};
@@ -48,6 +49,15 @@ pub enum SamplerCommand {
     },
     /// Clear the latched fault.
     ClearFault,
+    /// Use these inputs and outputs of terminals.
+    ConfigureIo(IoPlaces),
+    /// Request the value of an output.
+    SetOutput {
+        /// The output, from 0.
+        io: u8,
+        /// Its bits.
+        value: u32,
+    },
 }
 
 /// Counters of the sampler since it started.
@@ -90,8 +100,10 @@ pub struct CycleReport {
     pub clock_error_ns: Option<i32>,
     /// The latched fault.
     pub fault: Option<Fault>,
-    /// Board input that keeps the drives in quick stop.
+    /// Input that keeps the drives in quick stop.
     pub interlock: Option<Interlock>,
+    /// The named inputs and outputs.
+    pub io: IoReport,
     /// The sampler's counters.
     pub counters: SamplerCounters,
     /// The bus's counters.

@@ -2,6 +2,7 @@
 
 mod cycle;
 pub mod feedback;
+pub mod io;
 mod limit;
 pub mod position;
 pub mod robot_axes;

@@ -17,6 +17,7 @@ use crate::board::Interlock;
 use crate::config::{Axis, AxisMode, Bus, Transport};
 pub use crate::control::cycle::{CycleReport, Queued, SamplerCommand, SamplerCounters};
 use crate::control::feedback::COMPARISONS;
+use crate::control::io::Io;
 use crate::control::limit::limited;
 use crate::control::position::PositionController;
 use crate::control::robot_axes::{AxisCommand, Demand, PositionDemand, RobotAxes};
@@ -98,6 +99,9 @@ pub struct Sampler<'a, G = RobotGroup<'a>> {
     /// Whether the telegram that began this cycle was late or not sent.
     first_late: bool,
     interlock: Option<Interlock>,
+    io: Io,
+    /// Whether the bus has terminals whose failure is no fault.
+    spares_terminals: bool,
     counters: SamplerCounters,
 }
 
@@ -144,6 +148,8 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             timer_correction_ns: 0,
             first_late: false,
             interlock: None,
+            io: Io::new(),
+            spares_terminals: false,
             counters: SamplerCounters::default(),
         }
     }
@@ -258,11 +264,13 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
     fn finish<D: Driver>(&mut self, transport: &mut FramePort<D>, elapsed_ns: u32) {
         self.phase = Phase::Done;
         self.measure();
+        self.io.read(&self.group, self.bus.blind_max_ms);
         self.steer();
         let (following, underrun) = self.next_setpoint();
         let output_rad_s = self.control(following);
         self.supervise(following, underrun, &output_rad_s);
         self.write(following, &output_rad_s);
+        self.io.write(&mut self.group, self.supervision.fault().is_some());
         let telegram = self.group.trigger_output();
         let sending = match may_send(&self.bus, self.has_path) {
             true => transport.send(telegram),
@@ -359,6 +367,11 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
                     self.epoch = Some(epoch);
                     self.window.clear();
                 }
+                SamplerCommand::ConfigureIo(points) => {
+                    self.io.configure(points);
+                    self.spares_terminals = self.io.spares_terminals();
+                }
+                SamplerCommand::SetOutput { io, value } => self.io.request(io, value),
                 SamplerCommand::ClearFault => {
                     self.supervision.clear();
                     self.steering.restart();
@@ -512,6 +525,8 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             underrun,
             late: self.late,
             interlock: self.interlock,
+            io_stop: self.io.report().stop,
+            spares_terminals: self.spares_terminals,
         };
         if following {
             for (axis, error) in seen.following_error_rad.iter_mut().enumerate() {
@@ -621,7 +636,8 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         now.standstill = self.still_ms >= STANDSTILL_MS;
         now.clock_error_ns = self.clock.map(|_| self.steering.error_ns());
         now.fault = self.supervision.fault();
-        now.interlock = self.interlock;
+        now.interlock = self.interlock.or(self.io.interlock());
+        now.io = *self.io.report();
         now.counters = self.counters;
         now.bus = self.group.counters();
         if !queue::put_copy(&mut self.reports, now) {

@@ -6,6 +6,7 @@
 use crate::application::Fault;
 use crate::board::Interlock;
 use crate::config::{Axis, Bus};
+use crate::control::io::IoStop;
 use crate::robots::AXES;
 
 /// Consecutive cycles with a clamped output that cause a fault.
@@ -42,7 +43,15 @@ pub struct Observation {
     pub late: u16,
     /// Board input that keeps the drives in quick stop.
     pub interlock: Option<Interlock>,
+    /// Input of a terminal that stops the drives.
+    pub io_stop: Option<IoStop>,
+    /// Whether the bus has terminals whose failure is no fault.
+    pub spares_terminals: bool,
 }
+
+/// Longest wait for the supervisor to find out that an unexpected AL state belongs to a terminal whose failure is no
+/// fault, ms. A drive that leaves OP stops by itself, and the supervisor names it meanwhile.
+pub const AL_UNEXPLAINED_MAX_MS: u8 = 60;
 
 /// AL state OP without the error flag.
 const AL_OPERATIONAL: u8 = 8;
@@ -55,6 +64,7 @@ pub struct Supervision {
     clamped: [u8; AXES],
     window_ms: u16,
     late: u16,
+    al_unexplained_ms: u8,
 }
 
 impl Default for Supervision {
@@ -72,6 +82,7 @@ impl Supervision {
             clamped: [0; AXES],
             window_ms: 0,
             late: 0,
+            al_unexplained_ms: 0,
         }
     }
 
@@ -96,6 +107,9 @@ impl Supervision {
     pub fn step(&mut self, axes: &[Axis; AXES], bus: &Bus, seen: &Observation) -> Option<Fault> {
         if let Some(interlock) = seen.interlock {
             self.latch(interlock.fault());
+        }
+        if let Some(stop) = seen.io_stop {
+            self.check_input(stop, seen.power);
         }
         self.count_late(bus, seen.late, seen.following);
         if seen.valid == [true; AXES] {
@@ -156,18 +170,36 @@ impl Supervision {
         } else if let Some(al_state) = seen.al_status
             && al_state != AL_OPERATIONAL
         {
-            // The supervisor determines which slave it is; until then 255 means any slave.
-            self.latch(Fault::SlaveState {
-                slave: u8::MAX,
-                al_state,
-                al_code: 0,
-            });
+            self.question_state(al_state, seen.spares_terminals);
+        } else {
+            self.al_unexplained_ms = 0;
         }
         if let Some(fault) = seen.clock {
             self.latch(fault);
         }
         if seen.underrun {
             self.latch(Fault::SetpointUnderrun);
+        }
+    }
+
+    /// Latches an input that stops the drives: without power only an open emergency stop.
+    #[cold]
+    fn check_input(&mut self, stop: IoStop, power: bool) {
+        if power || stop.is_interlock() {
+            self.latch(stop.fault());
+        }
+    }
+
+    #[cold]
+    fn question_state(&mut self, al_state: u8, spares_terminals: bool) {
+        self.al_unexplained_ms = self.al_unexplained_ms.saturating_add(1);
+        if !spares_terminals || self.al_unexplained_ms > AL_UNEXPLAINED_MAX_MS {
+            // The supervisor determines which slave it is; until then 255 means any slave.
+            self.latch(Fault::SlaveState {
+                slave: u8::MAX,
+                al_state,
+                al_code: 0,
+            });
         }
     }
 

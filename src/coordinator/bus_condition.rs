@@ -27,15 +27,31 @@ pub fn bus_condition(event: &BusEvent) -> Option<BusCondition> {
             expiries,
         },
         BusEvent::Refused { position, step, error } => refusal(position, step, error),
+        BusEvent::TerminalRefused { position, step, error } => refusal(Some(position), step, error),
         BusEvent::Found { .. }
         | BusEvent::Slave { .. }
         | BusEvent::Repaired { .. }
-        | BusEvent::TerminalRefused { .. }
         | BusEvent::Stopped
         | BusEvent::Emergency { .. }
         | BusEvent::CableErrors { .. } => return None,
     };
     Some(BusCondition::Refused(fault))
+}
+
+/// Place of the slave that an event of one slave concerns; a slave's failure is a fault unless it is a terminal that the
+/// drives do not need.
+pub(super) const fn terminal_event(event: &BusEvent) -> Option<u8> {
+    match event {
+        BusEvent::SlaveLost { position }
+        | BusEvent::SlaveLeft { position, .. }
+        | BusEvent::TerminalRefused { position, .. }
+        | BusEvent::ProcessorStopped { position, .. }
+        | BusEvent::Refused {
+            position: Some(position),
+            ..
+        } => Some(*position),
+        _ => None,
+    }
 }
 
 /// The fault of a bring-up or a repair that failed at a step.

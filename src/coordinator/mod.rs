@@ -14,10 +14,12 @@
 
 mod bus_condition;
 mod ends;
+mod io;
 mod requests;
 mod status;
 
 pub use bus_condition::bus_condition;
+use bus_condition::terminal_event;
 pub use ends::CoordinatorEnds;
 pub use status::STATUS_PERIOD_MS;
 
@@ -30,8 +32,10 @@ use crate::ethercat::event::{BusCommand, BusEvent};
 use crate::ethercat::state::AlReport;
 use crate::messages::{Counters, SLAVES_REPORTED, Sample, SlaveStatus};
 use crate::motion::Admission;
+use crate::robots::AXES;
 use crate::trajectory_task::{MotionOrder, MotionReport};
 use heapless::Vec;
+use io::Io;
 use status::Told;
 
 /// Progress of the path.
@@ -69,6 +73,9 @@ pub struct Coordinator<'a> {
     motion: MotionReport,
     report: Option<CycleReport>,
     slaves: Vec<SlaveStatus, SLAVES_REPORTED>,
+    /// Place in the chain of each axis's drive.
+    places: [u8; AXES],
+    io: Io,
     counters: Counters,
     vertices_admitted: u32,
     orders_sent: u32,
@@ -100,6 +107,8 @@ impl<'a> Coordinator<'a> {
             motion: MotionReport::default(),
             report: None,
             slaves: Vec::new(),
+            places: core::array::from_fn(|axis| axis as u8),
+            io: Io::new(),
             counters: Counters::default(),
             vertices_admitted: 0,
             orders_sent: 0,
@@ -175,7 +184,8 @@ impl<'a> Coordinator<'a> {
         self.counters.frames_lost = report.bus.frames_lost;
         self.counters.frames_ignored = report.bus.frames_ignored();
         self.counters.working_counter_errors = report.bus.working_counter_errors;
-        self.condition = status::condition(&report);
+        self.io.take(&report.io);
+        self.condition = status::condition(&report, &self.places);
         self.was_referenced |= self.condition.unreferenced.is_none();
         self.report = Some(report);
         Some(sample)
@@ -207,6 +217,7 @@ impl<'a> Coordinator<'a> {
         {
             self.carry_out(action);
         }
+        self.show_mode();
     }
 
     /// Whether the path was abandoned since the last call: the drives are stopping by themselves, and no more vertices
@@ -238,8 +249,11 @@ impl<'a> Coordinator<'a> {
                 position,
                 identity,
                 report,
+                member,
                 ..
             } => {
+                let axis = member.and_then(|member| self.places.get_mut(usize::from(member)));
+                axis.into_iter().for_each(|place| *place = position);
                 let status = SlaveStatus {
                     vendor: identity.vendor,
                     product: identity.product,
@@ -257,6 +271,10 @@ impl<'a> Coordinator<'a> {
             BusEvent::SlaveLost { position } => self.take_state(position, AlReport::default()),
             BusEvent::SlaveLeft { position, report } => self.take_state(position, report),
             _ => {}
+        }
+        let position = terminal_event(event);
+        if position.is_some_and(|position| self.io.is_spared(position)) {
+            return;
         }
         if let Some(condition) = bus_condition(event) {
             self.application.bus(condition);
@@ -293,6 +311,7 @@ impl<'a> Coordinator<'a> {
             Action::BeginPath => self.tell_trajectory(MotionOrder::BeginPath),
             Action::Motion(command) => self.tell_trajectory(MotionOrder::Command(command)),
             Action::RecoverBus => self.recovery_due = true,
+            Action::SetOutput { io, value } => self.tell_sampler(SamplerCommand::SetOutput { io, value }),
         }
     }
 

@@ -24,6 +24,7 @@ impl Coordinator<'_> {
     /// Why it was refused; the previous configuration stays in force.
     pub fn configure(&mut self, config: &Config) -> Result<u64, ConfigRefusal> {
         config.check()?;
+        config.check_io()?;
         let hash = config.hash().unwrap_or_default();
         if self.config_hash == Some(hash) {
             return Ok(hash);
@@ -40,6 +41,7 @@ impl Coordinator<'_> {
             axes: config.axes,
             bus: config.bus.clone(),
         });
+        self.configure_io(config);
         self.tell_trajectory(MotionOrder::Configure(config.motion_settings()));
         // The network task empties the queue every millisecond.
         let _ = self.ends.network.enqueue(config.bus.network());
@@ -58,6 +60,15 @@ impl Coordinator<'_> {
         let room = (orders.capacity() - orders.len()).min(demands.capacity() - demands.len());
         if room < ORDERS_KEPT_FREE && command != Command::Stop {
             return Err(Refusal::Busy);
+        }
+        if let Command::SetOutput { io, value } = command
+            && self.application.may_set_outputs()
+        {
+            self.io.check(io, value)?;
+        }
+        if command == Command::Acknowledge && self.brings_terminals_back() {
+            self.recovery_due = true;
+            return Ok(());
         }
         self.check_target(command)?;
         self.check_homing(command)?;

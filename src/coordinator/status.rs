@@ -1,6 +1,7 @@
 //! Reports to the host (samples and status), and the condition that a report is for the operating modes.
 
 use super::Coordinator;
+use super::io::IO_STATUS_MS;
 use crate::application::{Condition, Fault, Mode};
 use crate::board::{Interlock, PortState};
 use crate::control::sampler::CycleReport;
@@ -20,6 +21,8 @@ pub(super) struct Told {
     recovering: bool,
     interlock: Option<Interlock>,
     port: PortState,
+    /// How often the named inputs and outputs had changed.
+    io_changes: u32,
 }
 
 impl Told {
@@ -30,14 +33,19 @@ impl Told {
         recovering: false,
         interlock: None,
         port: PortState::Unknown,
+        io_changes: 0,
     };
 }
 
 impl Coordinator<'_> {
     /// The status if it has changed, or was last reported [`STATUS_PERIOD_MS`] ago.
     pub fn due_status(&mut self) -> Option<Status> {
-        let changed = self.told != self.to_tell();
-        let due = changed || (self.now_ms as u32).wrapping_sub(self.told_ms) >= STATUS_PERIOD_MS;
+        let (told, now) = (self.told, self.to_tell());
+        let since_ms = (self.now_ms as u32).wrapping_sub(self.told_ms);
+        let io_changes = now.io_changes;
+        let changed = Told { io_changes, ..told } != now;
+        let io_changed = told.io_changes != io_changes && since_ms >= IO_STATUS_MS;
+        let due = changed || io_changed || since_ms >= STATUS_PERIOD_MS;
         due.then(|| self.status())
     }
 
@@ -45,8 +53,10 @@ impl Coordinator<'_> {
     pub fn status(&mut self) -> Status {
         (self.told, self.told_ms) = (self.to_tell(), self.now_ms as u32);
         if let Some(report) = &self.report {
-            for (slave, status_word) in self.slaves.iter_mut().zip(report.status_word) {
-                slave.status_word = status_word;
+            for (place, status_word) in self.places.iter().zip(report.status_word) {
+                if let Some(slave) = self.slaves.get_mut(usize::from(*place)) {
+                    slave.status_word = status_word;
+                }
             }
         }
         Status {
@@ -62,6 +72,7 @@ impl Coordinator<'_> {
             override_percent: self.application.override_percent(),
             counters: self.counters,
             slaves: self.slaves.clone(),
+            io: self.io.states(),
         }
     }
 
@@ -72,6 +83,7 @@ impl Coordinator<'_> {
             recovering: self.application.is_recovering(),
             interlock: self.condition.interlock,
             port: self.board.port,
+            io_changes: self.io.changes(),
         }
     }
 
@@ -107,8 +119,14 @@ impl Coordinator<'_> {
     }
 }
 
-/// The condition for the operating modes from a report.
-pub(super) fn condition(report: &CycleReport) -> Condition {
+/// The condition for the operating modes from a report. `places` are those of the axes' drives in the chain: the critical
+/// tasks know a silent slave by its axis only.
+pub(super) fn condition(report: &CycleReport, places: &[u8; AXES]) -> Condition {
+    let place = |axis: u8| places.get(usize::from(axis)).copied().unwrap_or(axis);
+    let fault = report.fault.map(|fault| match fault {
+        Fault::SlaveLost { slave } => Fault::SlaveLost { slave: place(slave) },
+        other => other,
+    });
     let status = report.status_word.map(StatusWord);
     let in_operation = |status: &StatusWord| status.state() == DriveState::OperationEnabled;
     let first = |flags: [bool; AXES]| (0..).zip(flags).find_map(|(axis, flag)| flag.then_some(axis));
@@ -125,9 +143,12 @@ pub(super) fn condition(report: &CycleReport) -> Condition {
             axis: axis as u8,
             status_word: report.status_word[axis],
         }),
-        silent,
-        fault: report.fault,
+        silent: silent.map(place),
+        fault,
         interlock: report.interlock,
+        stop_input: report.io.stop.map(|stop| stop.fault()),
+        hold_input: report.io.hold,
+        start_input: report.io.start,
     }
 }
 
@@ -145,14 +166,18 @@ mod tests {
             valid: [true; AXES],
             ..CycleReport::default()
         };
-        assert!(condition(&report).powered);
+        let places = [0, 1, 2, 3];
+        assert!(condition(&report, &places).powered);
         for axis in 0..AXES {
             let mut silent = report;
             silent.valid[axis] = false;
-            assert!(!condition(&silent).powered, "the last word of axis {axis} is old");
+            assert!(
+                !condition(&silent, &places).powered,
+                "the last word of axis {axis} is old"
+            );
             let mut other = report;
             other.status_word[axis] = 0x0233;
-            assert!(!condition(&other).powered);
+            assert!(!condition(&other, &places).powered);
         }
     }
 }

@@ -75,6 +75,10 @@ fn full_status() -> Status {
         al_code: 0,
         status_word: u16::MAX,
     };
+    let point = IoState {
+        raw: u32::MAX,
+        valid: true,
+    };
     Status {
         mode: Mode::Drawing,
         fault: None,
@@ -91,6 +95,7 @@ fn full_status() -> Status {
             ..Counters::default()
         },
         slaves: core::iter::repeat_n(slave, SLAVES_REPORTED).collect(),
+        io: core::iter::repeat_n(point, IO_MAX).collect(),
     }
 }
 

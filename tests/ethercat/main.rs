@@ -8,3 +8,5 @@ mod real_chain;
 mod rig;
 mod services;
 mod slave_faults;
+mod terminals;
+mod without_drivers;

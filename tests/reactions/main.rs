@@ -10,6 +10,7 @@ mod feedback;
 mod feedback_scan;
 mod feedback_soak;
 mod identity;
+mod io;
 mod liveness;
 mod matrix;
 mod outside;

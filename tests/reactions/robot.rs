@@ -314,6 +314,21 @@ impl Robot {
         self.cell.lock().unwrap().state()
     }
 
+    /// Sets the inputs of a terminal, from 1.
+    pub(crate) fn set_inputs(&mut self, slave: usize, inputs: u8) {
+        self.cell.lock().unwrap().set_inputs(slave, &[inputs]);
+    }
+
+    /// The outputs of a terminal, from 1, as they act outside.
+    pub(crate) fn outputs(&self, slave: usize) -> u8 {
+        self.cell
+            .lock()
+            .unwrap()
+            .outputs(slave)
+            .and_then(|outputs| outputs.first().copied())
+            .unwrap_or(0)
+    }
+
     /// Largest parts of their limits that the comparisons of the feedback have used since the last call.
     pub(crate) fn take_used(&mut self) -> Used {
         std::mem::take(&mut self.used.lock().unwrap())

@@ -6,8 +6,10 @@ use crate::factory::ServoDrives;
 use crate::io::{BusState, GroupDrive, IoGroup, IoTrigger};
 use crate::layout::ProcessLayout;
 use crate::{DriveInput, DriveOutput, DriveSettings};
+use etherpen_ethercat::configure::Direction;
 use etherpen_ethercat::cyclic::{Arrival, BusCounters, Exchange, ExchangeKind, InputPlace, OutputPlace};
 use etherpen_ethercat::encapsulation::Encapsulation;
+use etherpen_ethercat::place::Place as ValuePlace;
 
 /// Where a member's values are.
 #[derive(Clone, Copy, Debug)]
@@ -44,6 +46,11 @@ where
     /// The exchange with the bus.
     pub fn exchange(&self) -> &Exchange<'a, ServoDrives<MEMBERS>, SLAVES, MESSAGE> {
         &self.exchange
+    }
+
+    /// The exchange with the bus, to set values of terminals.
+    pub fn exchange_mut(&mut self) -> &mut Exchange<'a, ServoDrives<MEMBERS>, SLAVES, MESSAGE> {
+        &mut self.exchange
     }
 
     #[cold]
@@ -101,6 +108,36 @@ where
         if let Some(Some(place)) = self.places.get(member) {
             place.layout.encode(output, self.exchange.output_at(place.outputs));
         }
+    }
+
+    #[inline]
+    fn terminal_plan(&self) -> u32 {
+        self.exchange.plan_number()
+    }
+
+    fn terminal_bits(&self, slave: usize, direction: Direction, bit: u16, bits: u8) -> Option<ValuePlace<u32>> {
+        let share = self.exchange.plan().slaves.get(slave)?;
+        // The slave is watched from OP on, until it is seen in another state.
+        let is_in_operation = share.is_terminal && share.watched;
+        self.exchange
+            .bits(slave, direction, bit, bits)
+            .filter(|_| is_in_operation)
+    }
+
+    fn terminal_object(&self, number: usize) -> Option<ValuePlace<u32>> {
+        let found = self.exchange.plan().values.get(number).copied()??;
+        self.terminal_bits(found.slave.into(), found.direction, found.bit, found.bits)
+    }
+
+    #[inline]
+    fn terminal_value(&self, place: &ValuePlace<u32>) -> Option<u32> {
+        self.exchange.get(place)
+    }
+
+    #[inline]
+    fn set_terminal_value(&mut self, place: &ValuePlace<u32>, value: u32) {
+        // A place of another plan is found anew in the next millisecond.
+        let _ = self.exchange.set(place, value);
     }
 }
 

@@ -9,8 +9,10 @@
 
 use crate::cia402::DriveTarget;
 use crate::{AxisMode, DriveInput, DriveKind, DriveOutput};
+use etherpen_ethercat::configure::Direction;
 use etherpen_ethercat::cyclic::{Arrival, BusCounters, ExchangeKind};
 use etherpen_ethercat::encapsulation::Encapsulation;
+use etherpen_ethercat::place::Place;
 
 /// State of the bus in a cycle, besides the drives' inputs.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -77,6 +79,32 @@ pub trait IoGroup {
 
     /// Sets the output of a member for the next trigger; does nothing while the member has no drive.
     fn write(&mut self, member: usize, output: &DriveOutput);
+
+    /// Number of the plan for which places of terminals' values are valid.
+    fn terminal_plan(&self) -> u32 {
+        0
+    }
+
+    /// Place of `bits` bits from bit `bit` on in the process data of the terminal at a place in the chain; `None` unless
+    /// it is a terminal in operation that exchanges them.
+    fn terminal_bits(&self, _slave: usize, _direction: Direction, _bit: u16, _bits: u8) -> Option<Place<u32>> {
+        None
+    }
+
+    /// Place of the wanted value of this number
+    /// ([`BusSetup::values`](etherpen_ethercat::event::BusSetup::values)); `None` unless its terminal is in operation
+    /// and exchanges it.
+    fn terminal_object(&self, _number: usize) -> Option<Place<u32>> {
+        None
+    }
+
+    /// This cycle's value at a place of a terminal; `None` if it did not arrive.
+    fn terminal_value(&self, _place: &Place<u32>) -> Option<u32> {
+        None
+    }
+
+    /// Sets the value at a place of a terminal's outputs for the next trigger.
+    fn set_terminal_value(&mut self, _place: &Place<u32>, _value: u32) {}
 }
 
 /// An axis that is commanded by a velocity.

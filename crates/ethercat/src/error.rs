@@ -230,6 +230,13 @@ pub enum BusError {
         /// Time waited, ms.
         waited_ms: u32,
     },
+    /// A slave's process data are in too many sync managers.
+    SyncManagers {
+        /// Most sync managers allowed.
+        expected: u8,
+        /// Sync managers found.
+        actual: u8,
+    },
 }
 
 impl BusError {

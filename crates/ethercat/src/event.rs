@@ -2,14 +2,45 @@
 //!
 //! Invariant: every event stands alone; if one is lost the others remain valid.
 
-use super::driver::SlaveFactory;
+use super::driver::{Direction, Entry, SlaveFactory};
 use super::error::BusError;
-use super::plan::ExchangeKind;
+use super::plan::{ExchangeKind, VALUES_MAX};
 use super::port_state::PortState;
 use super::slave_set::SlaveSet;
 use super::state::AlReport;
-use super::wire::coe::Emergency;
+use super::wire::coe::{Emergency, Object};
 use super::wire::sii::Identity;
+use heapless::Vec;
+
+/// A value of a terminal that the application wants, named by its object.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct WantedValue {
+    /// Place in the chain of the slave, from 0.
+    pub slave: u8,
+    /// Whether it is among the inputs or the outputs.
+    pub direction: Direction,
+    /// The object as the slave's process data list it.
+    pub object: Object,
+    /// Its bits; an entry of another length is not the value.
+    pub bits: u8,
+}
+
+/// An entry of a terminal's process data that the application chooses: the entries of one process data object stand
+/// together, and those objects together that belong to one sync manager.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ChosenEntry {
+    /// Place in the chain of the slave, from 0.
+    pub slave: u8,
+    /// Number of the sync manager to which the process data object is assigned.
+    pub manager: u8,
+    /// Index of the process data object: from 0x1600 for outputs, from 0x1A00 for inputs.
+    pub pdo: u16,
+    /// The entry to be mapped; `None` assigns the process data object with the entries that it has.
+    pub entry: Option<Entry>,
+}
+
+/// Most chosen entries of all terminals.
+pub const CHOSEN_MAX: usize = 16;
 
 /// The bus that a bring-up expects, and how to run it.
 #[derive(Clone, Debug, PartialEq)]
@@ -20,6 +51,12 @@ pub struct BusSetup<F: SlaveFactory> {
     /// are brought to OP, exchanged in each cycle, watched and repaired like members. One that fails keeps no member from
     /// operating.
     pub terminals: SlaveSet,
+    /// Values of the terminals that are looked for by their objects; the plan tells where they are, see
+    /// [`Exchange::value`](super::cyclic::Exchange::value).
+    pub values: Vec<WantedValue, VALUES_MAX>,
+    /// Process data that are assigned and mapped over CoE before the process data of a terminal are read; those of other
+    /// sync managers stay as they are.
+    pub chosen: Vec<ChosenEntry, CHOSEN_MAX>,
     /// Settings of the members.
     pub settings: F::Settings,
     /// When inputs are read and outputs are written.
@@ -40,6 +77,8 @@ impl<F: SlaveFactory> Default for BusSetup<F> {
         Self {
             members: 0,
             terminals: SlaveSet::NONE,
+            values: Vec::new(),
+            chosen: Vec::new(),
             settings: F::Settings::default(),
             exchange: ExchangeKind::default(),
             cycle_ns: 1_000_000,

@@ -11,8 +11,9 @@
 //! 4. `mailbox`, `state`: mailboxes; states of slaves
 //! 5. `coe`, `diagnostics`: objects; requests of an application
 //! 6. `configure`, `topology`: discovery of slaves and their objects; how slaves are connected
-//! 7. `driver`, `no_drivers`: the seam to kinds of slaves
-//! 8. `plan`, `slave`, `encapsulation`: contents of a cycle; what is known of a slave; UDP
+//! 7. `driver`: the seam to kinds of slaves
+//! 8. `no_drivers`, `plan`, `slave`, `encapsulation`: an application without drivers; contents of a cycle; what is known
+//!    of a slave; UDP
 //! 9. `telegram`, `clock`: frames of a cycle; distributed clocks
 //! 10. `event`, `cyclic`: events and commands; the cyclic exchange
 //! 11. `process_data`, `place`: mapping of process data; places of values in them

@@ -130,9 +130,19 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'_, F,
         self.bits(slave, direction, bit, T::BITS)
     }
 
+    /// Place of the value of this number in [`BusSetup::values`](super::event::BusSetup::values); `None` while no slave
+    /// exchanges it, or if the type has fewer bits.
+    pub fn value<T: Scalar>(&self, number: usize) -> Option<Place<T>> {
+        let found = self.plan().values.get(number).copied()??;
+        self.bits(found.slave.into(), found.direction, found.bit, found.bits)
+    }
+
     /// Place of a value of `bits` bits, as [`Self::place`]. `None` also if the type has fewer bits, or for 0 bits.
     pub fn bits<T: Scalar>(&self, slave: usize, direction: Direction, bit: u16, bits: u8) -> Option<Place<T>> {
         let share = self.plan().slaves.get(slave)?;
+        if share.role.is_none() && !share.is_terminal {
+            return None;
+        }
         let bytes = match direction {
             Direction::Inputs => share.input_length,
             Direction::Outputs => self.sent(slave).len() as u16,

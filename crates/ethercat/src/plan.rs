@@ -5,6 +5,7 @@
 //!
 //! Invariant: each slave's data travel in separate datagrams, in every kind of exchange.
 
+use super::configure::Direction;
 use super::driver::{Role, SlaveFactory};
 use super::wire::{Address, Command, DATAGRAM_OVERHEAD, FRAME_LEN_MAX};
 use heapless::Vec;
@@ -17,6 +18,22 @@ pub const SPAN_BYTES_MAX: usize = 2 * PROCESS_BYTES_MAX;
 pub(super) const HEADERS_LEN_MAX: usize = 14 + 20 + 8 + 2;
 /// Bytes of the AL status register that are read each cycle.
 pub(super) const AL_STATUS_LEN: usize = 2;
+
+/// Most values that are looked for in the process data of slaves without a driver.
+pub const VALUES_MAX: usize = 16;
+
+/// Where a value was found that [`BusSetup::values`](super::event::BusSetup::values) names.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct FoundValue {
+    /// Place in the chain of the slave, from 0.
+    pub slave: u8,
+    /// Whether it is among the inputs or the outputs.
+    pub direction: Direction,
+    /// Its first bit in them.
+    pub bit: u16,
+    /// Its bits.
+    pub bits: u8,
+}
 
 /// When inputs are read and outputs are written.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -43,8 +60,11 @@ pub struct CyclicSlave<F: SlaveFactory> {
     pub output_length: u16,
     /// Whether a missing answer is an error; false while the slave is being configured or known to be lost.
     pub watched: bool,
-    /// What the application uses the slave for, if it does.
+    /// What the application uses the slave for, if it is a member.
     pub role: Option<Role<F>>,
+    /// Whether the slave takes part with its own process data, see
+    /// [`BusSetup::terminals`](super::event::BusSetup::terminals).
+    pub is_terminal: bool,
     /// Number of the slave's last configuration from INIT, wrapping: a new number means that it may have been switched
     /// off in between.
     pub generation: u8,
@@ -83,6 +103,8 @@ pub struct CyclicPlan<F: SlaveFactory, const SLAVES: usize> {
     pub clock: Option<ReferenceClock>,
     /// AL status bits that come from slaves that are not in use.
     pub al_bits_ignored: u16,
+    /// Where the values are that the application asked for; `None` for those that no slave exchanges.
+    pub values: [Option<FoundValue>; VALUES_MAX],
 }
 
 /// Why a plan cannot be exchanged.

@@ -5,11 +5,12 @@
 use crate::acyclic::{AcyclicPort, Request};
 use crate::configure::SYNC_MANAGER_OUTPUTS;
 use crate::configure::discovery::write_managers;
+use crate::configure::own_data::OwnData;
 use crate::cyclic::{CyclicSlave, SPAN_BYTES_MAX};
 use crate::driver::{ProcessData, Role, SlaveFactory};
 use crate::error::BusError;
 use crate::slave::Slave;
-use crate::wire::register::{self, FMMU_LEN, FmmuRepr, SyncManagerRepr};
+use crate::wire::register::{self, FMMU_LEN, FmmuRepr, SYNC_MANAGER_LEN, SyncManagerRepr};
 use crate::wire::{Address, Command};
 
 /// Start of the slaves' process data in the logical memory. Each slave has [`SPAN_BYTES_MAX`] bytes: its inputs, and
@@ -23,20 +24,26 @@ const WATCHDOG_UNITS_PER_MS: u16 = 10;
 const WATCHDOG_PDI_UNITS: u16 = 1_000;
 
 /// A slave's share of the logical memory: empty for slaves that are not configured yet, without a role for slaves that
-/// the application does not use. Outputs without a role stay 0.
+/// are no members. Outputs of slaves that the application does not use stay 0.
 pub fn cyclic_slave<F: SlaveFactory>(slave: &Slave<F>) -> CyclicSlave<F> {
-    let (Some(device), Some(data)) = (slave.device, slave.process_data) else {
+    let (output_length, input_length) = slave.lengths();
+    if (slave.process_data, slave.own_data) == (None, None) {
         return CyclicSlave::default();
-    };
-    let layout = data.layout;
+    }
+    let role = slave.member.zip(slave.device).zip(slave.process_data);
     let start = LOGICAL_START + u32::from(slave.position) * SPAN_BYTES_MAX as u32;
     CyclicSlave {
         input_address: start,
-        input_length: data.input_length,
-        output_address: start + u32::from(data.input_length),
-        output_length: data.output_length,
+        input_length,
+        output_address: start + u32::from(input_length),
+        output_length,
         watched: false,
-        role: slave.member.map(|member| Role { member, device, layout }),
+        role: role.map(|((member, device), data)| Role {
+            member,
+            device,
+            layout: data.layout,
+        }),
+        is_terminal: slave.is_terminal,
         generation: slave.generation,
     }
 }
@@ -52,6 +59,9 @@ pub async fn set_up<F: SlaveFactory, const MESSAGE: usize>(
     slave: &Slave<F>,
     watchdog_ms: u16,
 ) -> Result<(), BusError> {
+    if let Some(data) = &slave.own_data {
+        return set_up_own(port, slave, data, watchdog_ms).await;
+    }
     let Some(data) = slave.process_data else {
         return Ok(());
     };
@@ -82,6 +92,42 @@ pub async fn set_up<F: SlaveFactory, const MESSAGE: usize>(
         let _ = mapping.emit(bytes);
     }
     port.write(station, register::FMMU, &registers).await
+}
+
+/// Sets up a terminal's sync managers as its SII describes them, an FMMU for each, and the watchdog of its outputs.
+async fn set_up_own<F: SlaveFactory, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    slave: &Slave<F>,
+    data: &OwnData,
+    watchdog_ms: u16,
+) -> Result<(), BusError> {
+    let station = slave.station();
+    if data.output_length > 0 {
+        watchdogs(port, station, watchdog_ms).await?;
+    }
+    let share = cyclic_slave(slave);
+    let (mut outputs, mut inputs) = (share.output_address, share.input_address);
+    for (number, manager) in (0..).zip(data.managers()) {
+        let mut registers = [0; SYNC_MANAGER_LEN];
+        let described = SyncManagerRepr {
+            start: manager.start,
+            length: manager.length,
+            control: manager.control,
+            activate: register::SYNC_MANAGER_ENABLE,
+            ..SyncManagerRepr::default()
+        };
+        // The parts have the lengths of the structures.
+        let _ = described.emit(&mut registers);
+        port.write(station, register::sync_manager(manager.number), &registers)
+            .await?;
+        let logical = if manager.is_input { &mut inputs } else { &mut outputs };
+        let mapping = FmmuRepr::bytes(*logical, manager.length, manager.start, manager.is_input);
+        *logical += u32::from(manager.length);
+        let mut registers = [0; FMMU_LEN];
+        let _ = mapping.emit(&mut registers);
+        port.write(station, register::fmmu(number), &registers).await?;
+    }
+    Ok(())
 }
 
 async fn watchdogs<const MESSAGE: usize>(

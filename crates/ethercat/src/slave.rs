@@ -9,6 +9,7 @@ use super::wire::register::PORTS;
 use super::wire::sii::{FixedPart, Identity};
 use crate::configure::discovery::STATION_BASE;
 use crate::configure::identification::KnownIdentity;
+use crate::configure::own_data::OwnData;
 use crate::driver::{ProcessData, SlaveFactory};
 
 /// Condition of a slave.
@@ -42,10 +43,14 @@ pub struct Slave<F: SlaveFactory> {
     pub switch: Option<u16>,
     /// Its device type, if there is a driver for it.
     pub device: Option<F::Device>,
-    /// Its number among the application's members, if it is used.
+    /// Its number among the application's members, if it is one.
     pub member: Option<u8>,
-    /// Its process data, once they have been configured.
+    /// Whether it takes part with its own process data.
+    pub is_terminal: bool,
+    /// Its process data, once its driver has configured them.
     pub process_data: Option<ProcessData<F>>,
+    /// The process data of a terminal, once they are known.
+    pub own_data: Option<OwnData>,
     /// Its mailbox, once configured.
     pub mailbox: Mailbox,
     /// Condition of the slave.
@@ -74,7 +79,9 @@ impl<F: SlaveFactory> Slave<F> {
             switch: None,
             device: None,
             member: None,
+            is_terminal: false,
             process_data: None,
+            own_data: None,
             mailbox: Mailbox::default(),
             condition: Condition::default(),
             dl_status: 0,
@@ -83,6 +90,20 @@ impl<F: SlaveFactory> Slave<F> {
             emergency: None,
             report: AlReport::default(),
             generation: 0,
+        }
+    }
+
+    /// Whether the application uses the slave.
+    pub const fn is_used(&self) -> bool {
+        self.member.is_some() || self.is_terminal
+    }
+
+    /// Bytes of its outputs and of its inputs; 0 while they are not known.
+    pub fn lengths(&self) -> (u16, u16) {
+        match (self.process_data, self.own_data) {
+            (Some(data), _) => (data.output_length, data.input_length),
+            (None, Some(data)) => (data.output_length, data.input_length),
+            (None, None) => (0, 0),
         }
     }
 

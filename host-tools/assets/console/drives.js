@@ -71,6 +71,11 @@ function slaves(link) {
       const value = element("dd");
       return [element("div", {}, element("dt", {}, name), value), ([, count]) => text(value, String(count))];
     });
+    keyed($("io"), status?.io ?? [], ({ name }) => name, ({ name, is_output, role }) => {
+      const value = element("dd");
+      const label = `${name} (${is_output ? "output" : "input"}${role === "none" ? "" : `, ${role.replace("_", " ")}`})`;
+      return [element("div", {}, element("dt", {}, label), value), (point) => text(value, point.value === null ? "missing" : String(point.value))];
+    });
   };
   for (const name of ["status", "segment", "control", "you", "line_errors", "closed"]) link.on(name, show);
   show();

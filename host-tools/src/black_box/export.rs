@@ -38,7 +38,7 @@ const RECORDED_TOPIC: Topic = Topic {
              # Encoder positions, their lower 16 bits:\n\
              uint16 increments1\nuint16 increments2\nuint16 increments3\nuint16 increments4\n\
              uint8 following\nuint8 standstill\nuint8 fault\n\
-             uint8 interlock  # 1 emergency stop, 2 clock\n\
+             uint8 interlock  # 1 emergency stop, 2 clock, 3 emergency stop by a terminal\n\
              uint8 valid1\nuint8 valid2\nuint8 valid3\nuint8 valid4\n\
              uint8 homed1\nuint8 homed2\nuint8 homed3\nuint8 homed4\n",
 };
@@ -296,6 +296,7 @@ fn encode_recorded(entry: &SampleEntry, out: &mut Vec<u8>) {
         None => 0,
         Some(Interlock::EmergencyStop) => 1,
         Some(Interlock::Clock) => 2,
+        Some(Interlock::Input { .. }) => 3,
     };
     out.extend([entry.following, entry.standstill, entry.fault].map(u8::from));
     out.push(interlock);

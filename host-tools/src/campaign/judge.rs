@@ -117,7 +117,7 @@ impl Judge {
                 // A repeated request is carried out once.
                 Ok(HostMessage::Command { id, command }) if self.last_command != Some(id) => {
                     self.last_command = Some(id);
-                    self.inputs.push(Input::Commanded(command_of(&command)));
+                    self.inputs.extend(command_of(&command).map(Input::Commanded));
                     self.begin(&command);
                 }
                 Ok(HostMessage::Configure { .. }) if !self.configured => {
@@ -153,11 +153,10 @@ impl Judge {
         if accepted && matches!(command, Command::Home | Command::HomeAt { .. }) {
             self.homed();
         }
-        let command = command_of(command);
-        self.reports.push(match accepted {
+        self.reports.extend(command_of(command).map(|command| match accepted {
             true => Report::Accepted(command),
             false => Report::Refused(command),
-        });
+        }));
     }
 
     pub(super) fn refused_vertex(&mut self, job: u16, index: u32) {
@@ -419,9 +418,10 @@ impl Judge {
     }
 }
 
-fn command_of(command: &Command) -> monitor::Command {
+/// The command as the monitor knows it; `None` for one that moves nothing.
+fn command_of(command: &Command) -> Option<monitor::Command> {
     use monitor::Command as Told;
-    match *command {
+    let told = match *command {
         Command::Home => Told::Home,
         Command::HomeAt { pose, .. } => Told::HomeAt { pose_rad: pose.0 },
         Command::Enable => Told::Enable,
@@ -440,7 +440,9 @@ fn command_of(command: &Command) -> monitor::Command {
         Command::Pen { pen } => Told::Pen { down: pen == Pen::Down },
         Command::Stop => Told::Stop,
         Command::Acknowledge => Told::Acknowledge,
-    }
+        Command::SetOutput { .. } => return None,
+    };
+    Some(told)
 }
 
 fn mode_of(mode: Mode) -> monitor::Mode {

@@ -21,6 +21,7 @@ mod mechanism;
 mod paper;
 mod physics;
 mod robot;
+mod terminals;
 mod tuning;
 mod vibration;
 
@@ -57,7 +58,8 @@ pub struct CellOptions {
     pub start_offset_max_rad: f64,
     /// Script of the faults.
     pub faults: Script,
-    /// The slaves in the order of the chain; empty for an AX2000 for each configured drive. Drives belong to the
+    /// The slaves in the order of the chain; empty for an AX2000 for each configured drive, and digital terminals at the
+    /// places that the configuration's `io` names, whose contacts are closed. Drives belong to the
     /// configuration's axes in order; further drives move nothing.
     pub slaves: Vec<SlaveKind>,
     /// What is set on each slave; slaves beyond them have the default options.
@@ -136,7 +138,7 @@ impl Cell {
     pub fn new(config: &Config, options: CellOptions) -> Self {
         let mut random = Random::new(options.seed);
         let slaves = match options.slaves.len() {
-            0 => vec![SlaveKind::Ax2000; usize::from(config.bus.drives).min(config.axes.len())],
+            0 => terminals::chain(config),
             _ => options.slaves.clone(),
         };
         let residues = Residues::new(&config.geometry, &options.physics.calibration, options.seed);
@@ -173,9 +175,14 @@ impl Cell {
             seed: options.seed,
             fault_seed: random.bits(),
         };
-        Self {
-            segment: Segment::new(&segment, machine),
+        let mut segment = Segment::new(&segment, machine);
+        for place in 0..segment.slaves().len() {
+            let contacts = terminals::closed_contacts(config, place);
+            if contacts != 0 {
+                segment.set_inputs(place + 1, &[contacts]);
+            }
         }
+        Self { segment }
     }
 
     /// Advances the time to `time_us` on the caller's clock; an earlier time than before does nothing.
@@ -232,6 +239,18 @@ impl Cell {
     #[must_use]
     pub fn frames(&self) -> u64 {
         self.segment.frames()
+    }
+
+    /// Sets the first inputs of a slave, from 1; the bytes behind them stay. No effect without inputs.
+    pub fn set_inputs(&mut self, slave: usize, inputs: &[u8]) {
+        self.segment.set_inputs(slave, inputs);
+    }
+
+    /// The outputs of a slave, from 1, as they act outside: 0 unless it is in OP and its watchdog runs. `None` for a
+    /// slave without outputs, for a drive, and for a slave that does not exist.
+    #[must_use]
+    pub fn outputs(&self, slave: usize) -> Option<Vec<u8>> {
+        self.segment.outputs(slave)
     }
 
     /// The motors and the pen at present.

@@ -14,7 +14,7 @@ use super::signals::{Rows, SignalRow};
 use super::status::{self, mode_name};
 use crate::link::text;
 use etherpen::application::Mode;
-use etherpen::config::Config;
+use etherpen::config::{Config, IoPoints};
 use etherpen::messages::{Sample, Status, Welcome};
 use etherpen::motion::Pen;
 use serde::Serialize;
@@ -169,6 +169,8 @@ pub struct Hub {
     /// Console time at which each slave stopped answering, ms.
     silent_ms: Vec<Option<u64>>,
     rows: Rows,
+    /// The named inputs and outputs of the configuration.
+    io: IoPoints,
     history: History,
     log: VecDeque<LogEntry>,
     log_next: u64,
@@ -205,6 +207,7 @@ impl Hub {
             status: None,
             silent_ms: Vec::new(),
             rows: Rows::new(config),
+            io: config.io.clone(),
             history: History::default(),
             log: VecDeque::new(),
             log_next: 0,
@@ -386,7 +389,9 @@ impl Hub {
         }
         let silent_s = |since_ms: &Option<u64>| since_ms.map(|since_ms| now_ms.saturating_sub(since_ms) / 1_000);
         let silent_s: Vec<_> = self.silent_ms.iter().map(silent_s).collect();
-        let view = status::view(status, &silent_s).seen_at(self.known.map(|known| known.platform_mm));
+        let view = status::view(status, &silent_s)
+            .seen_at(self.known.map(|known| known.platform_mm))
+            .with_io(&self.io, status);
         self.say(Topic::Status, &view);
         self.status = Some(status.clone());
     }

@@ -5,6 +5,7 @@
 
 use crate::link::text;
 use etherpen::application::{Fault, Mode, StopSource};
+use etherpen::config::{IoDirection, IoPoints, IoRole};
 use etherpen::drives::cia402::{DriveState, StatusWord};
 use etherpen::ethercat::state::{al_code_hint, al_code_text};
 use etherpen::messages::{SlaveStatus, Status};
@@ -28,6 +29,17 @@ pub struct StatusView {
     bus: BusView,
     slaves: Vec<SlaveView>,
     counters: Vec<(&'static str, u32)>,
+    /// The named inputs and outputs of terminals.
+    io: Vec<IoView>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct IoView {
+    name: String,
+    is_output: bool,
+    role: &'static str,
+    /// Absent while the terminal does not exchange it.
+    value: Option<i64>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -138,6 +150,20 @@ fn slave(index: usize, slave: &SlaveStatus, silent_s: Option<u64>) -> SlaveView 
 }
 
 impl StatusView {
+    /// Adds the named inputs and outputs; `points` are those of the configuration.
+    pub fn with_io(self, points: &IoPoints, status: &Status) -> Self {
+        let io = points.iter().zip(&status.io).map(|(point, state)| IoView {
+            name: point.name.to_string(),
+            is_output: point.direction == IoDirection::Out,
+            role: point.role.name(),
+            value: state.valid.then(|| point.kind.value(state.raw)),
+        });
+        Self {
+            io: io.collect(),
+            ..self
+        }
+    }
+
     /// Adds the platform's last position from the time when the joints were referenced, if they no longer are.
     pub fn seen_at(self, seen_mm: Option<[f32; 3]>) -> Self {
         let seen_mm = seen_mm.filter(|_| !self.referenced);
@@ -161,7 +187,13 @@ pub fn view(status: &Status, silent_s: &[Option<u64>]) -> StatusView {
         stopped: status.mode == Mode::Fault
             && matches!(
                 status.fault,
-                Some(Fault::EmergencyStop(StopSource::Link | StopSource::Input))
+                Some(
+                    Fault::EmergencyStop(StopSource::Link | StopSource::Input)
+                        | Fault::StopInput {
+                            role: IoRole::EmergencyStop,
+                            ..
+                        }
+                )
             ),
         referenced: status.referenced,
         seen_mm: None,
@@ -191,6 +223,7 @@ pub fn view(status: &Status, silent_s: &[Option<u64>]) -> StatusView {
             ("telemetry dropped", counters.telemetry_dropped),
             ("link errors", counters.link_errors),
         ],
+        io: Vec::new(),
     }
 }
 
@@ -222,6 +255,7 @@ pub(crate) mod tests {
             interlock: None,
             port: PortState::default(),
             slaves: FixedVec::from_slice(&[slave(8, 0, 0x0637), slave(0x14, 0x1B, 0x0218)]).unwrap(),
+            io: FixedVec::new(),
         }
     }
 

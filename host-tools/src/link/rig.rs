@@ -312,6 +312,7 @@ impl Rig {
                 override_percent: 100,
                 counters: Counters::default(),
                 slaves: four_slaves(),
+                io: Default::default(),
             });
         }
     }

@@ -5,9 +5,9 @@
 pub mod bus;
 mod faults;
 
-use etherpen::application::{Mode, Refusal};
+use etherpen::application::{IoRefusal, Mode, Refusal};
 use etherpen::board::{PreviousRun, RunEnd};
-use etherpen::config::ConfigError;
+use etherpen::config::{ConfigError, IO_NAME_MAX, IoError, IoRole};
 use etherpen::messages::{Command, ConfigRefusal, Status};
 use etherpen::motion::{Outside, RefusalReason};
 use etherpen::robots::{KinematicsError, Words};
@@ -53,6 +53,7 @@ pub fn command(command: &Command) -> &'static str {
         Command::Pen { .. } => "moving the pen",
         Command::Stop => "stopping",
         Command::Acknowledge => "acknowledging the fault",
+        Command::SetOutput { .. } => "setting the output",
     }
 }
 
@@ -72,6 +73,7 @@ pub fn refusal(refusal: &Refusal) -> String {
         Refusal::Recovering => {
             "the fault was acknowledged already, and the bus and the drives are recovering; wait".into()
         }
+        Refusal::Io { io, reason } => io_refusal(*io, *reason),
         Refusal::NotFinite => "a value is not a finite number; check the input".into(),
         Refusal::NoPosition { axis } => format!("no position arrives from axis {}; check its drive", axis + 1),
         Refusal::PoseResolver { axis, difference_rad } => format!(
@@ -178,10 +180,58 @@ pub fn config_refusal(refusal: &ConfigRefusal) -> String {
                 "the configured dimensions do not form a valid robot ({cause}); correct [geometry] in etherpen.toml"
             )
         }
+        ConfigRefusal::Io(error) => format!("{}; correct [[io]] in etherpen.toml", io_error(error)),
         ConfigRefusal::NotInMode(now) => format!(
             "the configuration cannot be changed now: {}; disable the drives first",
             mode(*now)
         ),
+    }
+}
+
+/// Why a named input or output was refused, and what to try.
+fn io_refusal(io: u8, reason: IoRefusal) -> String {
+    let io = one(io);
+    match reason {
+        IoRefusal::Unknown => format!("the firmware's configuration has no io {io}; connect with the one that has it"),
+        IoRefusal::IsInput => format!("io {io} is an input; only outputs can be set"),
+        IoRefusal::IsLamp => format!("io {io} is the lamp; the controller sets it"),
+        IoRefusal::Range { expected, actual } => {
+            format!("the value {actual:#x} does not fit the {expected} bits of io {io}")
+        }
+        IoRefusal::Missing => {
+            format!(
+                "the terminal of io {io} is not in operation; check its supply and cable, then: etherpen acknowledge"
+            )
+        }
+        IoRefusal::Holds => format!("the hold input (io {io}) is open; close it first"),
+    }
+}
+
+/// Why a named input or output of the configuration cannot be used.
+pub fn io_error(error: &IoError) -> String {
+    match *error {
+        IoError::Name { io } => format!(
+            "the name of io {} has to be of 1 to {IO_NAME_MAX} letters, digits, '_' and '-'",
+            one(io)
+        ),
+        IoError::SameName { first, second } => format!("io {} and io {} have one name", one(first), one(second)),
+        IoError::Slave { io, expected, actual } => {
+            format!("io {}: slave is {actual}, allowed is 0 to {expected}", one(io))
+        }
+        IoError::Place { io } => format!("io {}: give either bit or object", one(io)),
+        IoError::Bit { io, expected, actual } => {
+            format!(
+                "io {}: bit is {actual}, allowed for its type is 0 to {expected}",
+                one(io)
+            )
+        }
+        IoError::Role { io, role: IoRole::Lamp } => format!("io {}: a lamp is an output of type bool", one(io)),
+        IoError::Role { io, role } => {
+            format!("io {}: the role {} is for an input of type bool", one(io), role.name())
+        }
+        IoError::SameOutput { first, second } => {
+            format!("io {} and io {} set the same output", one(first), one(second))
+        }
     }
 }
 

@@ -67,6 +67,9 @@ impl Ending {
             Order::Settle(Told::Acknowledge) => {
                 !status.recovering && !matches!(mode, Mode::Fault | Mode::BusConfiguring)
             }
+            Order::Tell(Told::SetOutput { io, value }) => {
+                status.io.get(usize::from(*io)).is_some_and(|point| point.raw == *value)
+            }
             Order::Motion(_) => !moves,
             _ => true,
         }

@@ -50,6 +50,9 @@ pub struct State {
     pub slaves: Vec<[u16; 3]>,
     /// The latched fault; empty without a fault.
     pub fault: String,
+    /// The named inputs and outputs in the order of the configuration: their bits, `None` while the terminal does not
+    /// exchange them.
+    pub io: Vec<Option<u32>>,
 }
 
 /// Severity of an event, numbered as in `rcl_interfaces/msg/Log`.
@@ -140,7 +143,9 @@ const STATUS_SCHEMA: &str = concat!(
      uint32 reference_underruns\nuint32 path_starvations\nuint32 trajectory_overruns\nuint32 telemetry_dropped\n\
      uint32 link_errors\nuint32 ethernet_errors\n\
      # Of each slave on the bus:\nuint16[] al_state\nuint16[] al_code\nuint16[] status_word\n\
-     string fault\n"
+     string fault\n\
+     # Of each named input and output, in the order of the configuration; absent before it had any:\n\
+     uint32[] io_raw\nuint16[] io_valid\n"
 );
 
 const EVENT_SCHEMA: &str = "# Something that happened.\n\
@@ -241,6 +246,10 @@ impl State {
             values.for_each(|value| cdr.short(*value));
         }
         cdr.text(&self.fault);
+        cdr.word(self.io.len() as u32);
+        self.io.iter().for_each(|raw| cdr.word(raw.unwrap_or(0)));
+        cdr.word(self.io.len() as u32);
+        self.io.iter().for_each(|raw| cdr.short(raw.is_some().into()));
     }
 
     /// Reads a message's bytes.
@@ -263,6 +272,17 @@ impl State {
                 *slaves.get_mut(slave)?.get_mut(column)? = value;
             }
         }
+        let fault = cdr.text()?;
+        let mut io = Vec::new();
+        // Older recordings end here.
+        for _ in 0..cdr.word().unwrap_or(0) {
+            io.push(Some(cdr.word()?));
+        }
+        for point in 0..cdr.word().unwrap_or(0) as usize {
+            let valid = cdr.short()? != 0;
+            let raw = io.get_mut(point)?;
+            *raw = raw.filter(|_| valid);
+        }
         Some(Self {
             t_ms,
             mode,
@@ -270,7 +290,8 @@ impl State {
             override_percent,
             counters: counted,
             slaves,
-            fault: cdr.text()?,
+            fault,
+            io,
         })
     }
 }
@@ -450,6 +471,7 @@ mod tests {
             },
             slaves: vec![[8, 0, 0x1637], [0x14, 0x1b, 0x218], [1, 2, 3]],
             fault: "axis 2 is slow – 5 µs".into(),
+            io: vec![Some(1), None, Some(u32::MAX)],
         };
         let event = Event {
             time_ns: 12_000_000_345,

@@ -282,6 +282,7 @@ impl<S: Storage> Recorder<S> {
             counters: status.counters,
             slaves: status.slaves.iter().map(slave).collect(),
             fault,
+            io: status.io.iter().map(|point| point.valid.then_some(point.raw)).collect(),
         };
         state.encode(&mut self.message);
         self.put(STATUS, self.now_ns)

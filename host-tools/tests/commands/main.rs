@@ -17,6 +17,7 @@ mod emulator;
 mod ethercrab;
 mod followed;
 mod installed;
+mod io;
 mod network;
 mod outputs;
 #[cfg(target_os = "linux")]

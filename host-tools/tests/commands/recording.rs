@@ -264,6 +264,7 @@ fn firmware(listener: &TcpListener) {
             override_percent: 100,
             counters: Default::default(),
             slaves: Default::default(),
+            io: Default::default(),
         };
         say(&mut client, &DeviceMessage::Status(status));
     }

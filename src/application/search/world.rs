@@ -397,6 +397,7 @@ impl State {
                 Action::BeginPath => self.order(&MotionOrder::BeginPath),
                 Action::Motion(command) => self.order(&MotionOrder::Command(command)),
                 Action::RecoverBus => self.supervisor_asked = true,
+                Action::SetOutput { .. } => {}
             }
         }
     }

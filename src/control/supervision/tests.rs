@@ -15,6 +15,8 @@ fn well() -> Observation {
         underrun: false,
         late: 0,
         interlock: None,
+        io_stop: None,
+        spares_terminals: false,
     }
 }
 
@@ -181,4 +183,49 @@ fn nothing_that_moves_nothing_is_a_fault() {
         ..well()
     };
     assert_eq!(run(100, &idle), None);
+}
+
+#[test]
+fn a_stop_input_is_latched_with_power_and_an_open_emergency_stop_without_it_too() {
+    use crate::application::InputCause::{Missing, Open};
+    use crate::config::IoRole::{Door, EmergencyStop};
+    for (role, cause, without_power) in [
+        (EmergencyStop, Open, true),
+        (EmergencyStop, Missing, false),
+        (Door, Open, false),
+        (Door, Missing, false),
+    ] {
+        let stop = IoStop { io: 3, role, cause };
+        let with = |power| Observation {
+            io_stop: Some(stop),
+            power,
+            following: power,
+            ..well()
+        };
+        assert_eq!(run(1, &with(true)), Some(stop.fault()), "{stop:?}");
+        assert_eq!(run(100, &with(false)).is_some(), without_power, "{stop:?}");
+    }
+}
+
+#[test]
+fn an_unexpected_state_waits_for_its_name_only_where_terminals_are_spared() {
+    let strange = Observation {
+        al_status: Some(AL_OPERATIONAL | 0x14),
+        ..well()
+    };
+    assert!(run(1, &strange).is_some());
+    let spared = Observation {
+        spares_terminals: true,
+        ..strange
+    };
+    let most = usize::from(AL_UNEXPLAINED_MAX_MS);
+    assert_eq!(run(most, &spared), None);
+    assert!(run(most + 1, &spared).is_some());
+    // What was explained in between starts afresh.
+    let mut supervision = Supervision::new();
+    let (axes, bus) = ([Axis::default(); AXES], Bus::default());
+    for cycle in 0..10 * most {
+        let seen = if cycle % most == 0 { well() } else { spared };
+        assert_eq!(supervision.step(&axes, &bus, &seen), None, "cycle {cycle}");
+    }
 }

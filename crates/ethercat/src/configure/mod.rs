@@ -9,6 +9,7 @@ pub mod discovery;
 pub mod identification;
 pub mod information;
 mod objects;
+pub mod own_data;
 mod pre_operational;
 
 pub(crate) use objects::SYNC_MANAGER_OUTPUTS;

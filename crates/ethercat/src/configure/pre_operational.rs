@@ -25,9 +25,9 @@ const ASSIGNMENT_OUTPUTS: u16 = 0x1C12;
 /// Object that lists the process data objects of the inputs.
 const ASSIGNMENT_INPUTS: u16 = 0x1C13;
 /// Most process data objects of one direction.
-const PDOS_MAX: usize = 8;
+pub(super) const PDOS_MAX: usize = 8;
 /// Most entries of one process data object.
-const ENTRIES_MAX: u8 = 32;
+pub(super) const ENTRIES_MAX: u8 = 32;
 /// Most read-backs of a setting until the device shows the value; one read-back takes some milliseconds.
 const VERIFY_TRIES_MAX: u8 = 10;
 /// Lowest address of process memory.
@@ -234,7 +234,7 @@ async fn offer<const MESSAGE: usize>(
 ///
 /// # Errors
 /// [`BusError::SdoAbort`] with sub-index 0 when there is no such object; then no value was passed on.
-async fn read_list<const MESSAGE: usize>(
+pub(super) async fn read_list<const MESSAGE: usize>(
     dictionary: &mut ObjectDictionary<'_, '_, MESSAGE>,
     index: u16,
     most: u8,
@@ -253,7 +253,7 @@ async fn read_list<const MESSAGE: usize>(
 }
 
 /// Passes the entries of the SII's process data objects that `chosen` selects to `take`; returns the number of objects.
-async fn sii_entries<const MESSAGE: usize>(
+pub(super) async fn sii_entries<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
     direction: Direction,

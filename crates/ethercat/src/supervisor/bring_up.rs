@@ -2,23 +2,27 @@
 //!
 //! Each function is one guarded step. Bring-up and repair share these steps.
 //!
-//! Invariant: only members leave INIT here; a slave goes up one state at a time.
+//! Invariant: only members and terminals leave INIT here; a slave goes up one state at a time.
 
 use super::super::acyclic::{AcyclicPort, Request};
 use super::super::clock::{self, BusClocks};
 use super::super::coe::{DEVICE_TYPE, ObjectDictionary};
 use super::super::configure::discovery::STATION_BASE;
-use super::super::configure::{PreOperational, discovery, information};
+use super::super::configure::own_data::Chosen;
+use super::super::configure::{PreOperational, discovery, information, own_data};
+use super::super::cyclic::FoundValue;
 use super::super::driver::{ProcessData, SlaveFactory, is_asked_for_device_type};
 use super::super::error::BusError;
-use super::super::event::{BusEvent, Step};
+use super::super::event::{BusEvent, CHOSEN_MAX, Step, WantedValue};
 use super::super::mailbox::Mailbox;
 use super::super::process_data;
 use super::super::slave::{Condition, Slave};
 use super::super::state::{self, AlReport, AlState};
+use super::super::wire::sii::PROTOCOL_COE;
 use super::super::wire::{Address, Command, register};
 use super::Failure;
 use super::bus::Bus;
+use heapless::Vec;
 
 /// Longest wait for the expected number of slaves, ms.
 pub const DISCOVERY_TIMEOUT_MS: u32 = 3_000;
@@ -39,6 +43,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     /// Counts, resets and identifies the slaves, and chooses the members.
     pub(super) async fn find_all(&mut self) -> Result<(), Failure> {
         self.slaves.clear();
+        self.values = Default::default();
         self.clocks = BusClocks::default();
         self.send_plan().await;
         let found = self.discover().await.map_err(Failure::bus(Step::Discover))?;
@@ -55,6 +60,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return Err(unread.unwrap_or(Failure::bus(Step::Identify)(error)));
         }
         self.check_members().await?;
+        self.choose_terminals();
         self.introduce_all().await;
         self.send_plan().await;
         Ok(())
@@ -153,9 +159,17 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         }
     }
 
+    /// Marks the further slaves that take part.
+    fn choose_terminals(&mut self) {
+        let places = self.setup.terminals;
+        for slave in &mut self.slaves {
+            slave.is_terminal = slave.member.is_none() && places.contains(slave.position.into());
+        }
+    }
+
     /// Configures a slave in use from INIT to SAFEOP; leaves other slaves alone.
     pub(super) async fn reach_safe_operational(&mut self, number: usize) -> Result<(), Failure> {
-        let Some(slave) = self.slaves.get_mut(number).filter(|slave| slave.member.is_some()) else {
+        let Some(slave) = self.slaves.get_mut(number).filter(|slave| slave.is_used()) else {
             return Ok(());
         };
         slave.condition = Condition::Configuring;
@@ -236,11 +250,13 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         };
         let (port, station, position) = (&mut self.port, slave.station(), slave.position);
         let at = |step| Failure::of(position, step);
-        let watchdog_ms = match slave.member {
-            Some(_) => self.setup.watchdog_ms,
-            None => UNUSED_WATCHDOG_MS,
+        let watchdog_ms = match slave.is_used() {
+            true => self.setup.watchdog_ms,
+            false => UNUSED_WATCHDOG_MS,
         };
-        if let Some(device) = slave.device {
+        if slave.is_terminal {
+            self.find_own_data(number).await.map_err(at(Step::Objects))?;
+        } else if let Some(device) = slave.device {
             let mut there = PreOperational::new(port, station, &mut slave.mailbox);
             let configured = F::configure(&self.setup.settings, device, slave.member, &mut there, twin.as_ref());
             if let Some(data) = configured.await.map_err(at(Step::Objects))? {
@@ -255,7 +271,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         process_data::set_up(port, slave, watchdog_ms)
             .await
             .map_err(at(Step::ProcessData))?;
-        let activate = slave.device.map_or(0, |device| F::describe(device).assign_activate);
+        let device = slave.device.filter(|_| !slave.is_terminal);
+        let activate = device.map_or(0, |device| F::describe(device).assign_activate);
         if activate != 0 && self.clocks.has_clock(usize::from(position)) {
             let (stations, shift_ns) = (self.stations(), u32::from(self.setup.sync_shift_us) * 1_000);
             let there = self.answering();
@@ -270,10 +287,55 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             .await
     }
 
+    /// Finds the process data of a terminal, and the values in them that the application wants.
+    async fn find_own_data(&mut self, number: usize) -> Result<(), BusError> {
+        let Self {
+            port,
+            slaves,
+            setup,
+            values,
+            ..
+        } = self;
+        let Some(slave) = slaves.get_mut(number) else {
+            return Ok(());
+        };
+        let place = slave.position as u8;
+        for value in values.iter_mut() {
+            *value = value.filter(|value| value.slave != place);
+        }
+        let station = slave.station();
+        let has_objects = slave.fixed.protocols & PROTOCOL_COE != 0 && slave.fixed.mailbox_out.length > 0;
+        let chosen = setup.chosen.iter().filter(|chosen| chosen.slave == place);
+        let chosen: Vec<Chosen, CHOSEN_MAX> = chosen.map(|one| (one.manager, one.pdo, one.entry)).collect();
+        if has_objects {
+            own_data::choose(port, &mut slave.mailbox, &chosen).await?;
+        }
+        let mailbox = has_objects.then_some(&mut slave.mailbox);
+        let data = own_data::find(port, station, mailbox, |direction, bit, entry| {
+            let is_wanted = |wanted: &WantedValue| {
+                (wanted.slave, wanted.direction) == (place, direction)
+                    && (wanted.object, wanted.bits) == (entry.object, entry.bits)
+            };
+            for (wanted, value) in setup.values.iter().zip(values.iter_mut()) {
+                if is_wanted(wanted) && value.is_none() {
+                    let (slave, bits) = (place, entry.bits);
+                    *value = Some(FoundValue {
+                        slave,
+                        direction,
+                        bit,
+                        bits,
+                    });
+                }
+            }
+        });
+        slave.own_data = Some(data.await?);
+        Ok(())
+    }
+
     /// Takes a slave in use from SAFEOP to OP, once its inputs arrive and outputs have been sent for a while. The plan
     /// with its process data has to be in force.
     pub(super) async fn reach_operational(&mut self, number: usize) -> Result<(), Failure> {
-        let Some(slave) = self.slaves.get(number).copied().filter(|slave| slave.member.is_some()) else {
+        let Some(slave) = self.slaves.get(number).copied().filter(|slave| slave.is_used()) else {
             return Ok(());
         };
         let at = |step| Failure::of(slave.position, step);
@@ -299,6 +361,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     /// Waits until a slave answers at its logical addresses and outputs have been sent for a while.
     pub(super) async fn await_inputs(&mut self, slave: &Slave<F>) -> Result<(), BusError> {
         let share = process_data::cyclic_slave(slave);
+        if share.output_length == 0 && share.input_length == 0 {
+            return Ok(());
+        }
         let started_ms = self.port.now_ms();
         let request = Request::read(
             Command::Lrd,
@@ -329,7 +394,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                     continue;
                 };
                 let above = slave.report.state().is_some_and(|state| state as u8 > target as u8);
-                if slave.member.is_none() || slave.condition == Condition::Lost || !above {
+                if !slave.is_used() || slave.condition == Condition::Lost || !above {
                     continue;
                 }
                 if state::change(&mut self.port, slave.station(), target).await.is_ok() {
@@ -342,6 +407,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         }
         for slave in &mut self.slaves {
             (slave.member, slave.process_data) = (None, None);
+            (slave.is_terminal, slave.own_data) = (false, None);
             slave.condition = match slave.condition {
                 Condition::Lost => Condition::Lost,
                 _ => Condition::Unused,

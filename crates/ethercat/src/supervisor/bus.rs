@@ -5,7 +5,7 @@
 
 use super::super::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
 use super::super::clock::{self, BusClocks};
-use super::super::cyclic::{CyclicPlan, CyclicSlave, PlanError, ReferenceClock};
+use super::super::cyclic::{CyclicPlan, CyclicSlave, FoundValue, PlanError, ReferenceClock, VALUES_MAX};
 use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
 use super::super::event::{BusEvent, BusSetup};
@@ -33,6 +33,8 @@ pub(super) struct Bus<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     events: Producer<'a, BusEvent>,
     pub(super) setup: BusSetup<F>,
     pub(super) slaves: Vec<Slave<F>, SLAVES>,
+    /// Where the values are that the application wants.
+    pub(super) values: [Option<FoundValue>; VALUES_MAX],
     pub(super) clocks: BusClocks<SLAVES>,
     /// Number of the clocks' present time.
     pub(super) time_number: u8,
@@ -58,6 +60,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             events,
             setup: BusSetup::default(),
             slaves: Vec::new(),
+            values: [None; VALUES_MAX],
             clocks: BusClocks::default(),
             time_number: 0,
             ordered: 0,
@@ -83,6 +86,42 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         let Failure { position, step, error } = failure;
         let position = position.map(|position| position as u8);
         self.emit(BusEvent::Refused { position, step, error }).await;
+    }
+
+    /// Gives up bringing a terminal to OP, and reports why; all others go on without it.
+    pub(super) async fn refuse_terminal(&mut self, number: usize, failure: Failure) {
+        let Some(slave) = self.slaves.get_mut(number) else {
+            return;
+        };
+        slave.own_data = None;
+        slave.condition = Condition::LeftOperational;
+        let Failure { step, error, .. } = failure;
+        let position = slave.position as u8;
+        self.inspect(number..number + 1).await;
+        self.send_plan().await;
+        self.emit(BusEvent::TerminalRefused { position, step, error }).await;
+    }
+
+    /// The slaves in the order in which they are brought up: the members do not wait for the terminals.
+    pub(super) fn order(&self) -> Vec<u8, SLAVES> {
+        let numbers = |terminals: bool| {
+            (0..)
+                .zip(&self.slaves)
+                .filter(move |(_, slave)| slave.is_terminal == terminals)
+        };
+        numbers(false).chain(numbers(true)).map(|(number, _)| number).collect()
+    }
+
+    /// Whether a slave is being brought up, and was not refused.
+    pub(super) fn is_on_the_way(&self, number: usize) -> bool {
+        self.slaves
+            .get(number)
+            .is_some_and(|slave| slave.condition == Condition::Configuring)
+    }
+
+    /// Whether a slave takes part with its own process data.
+    pub(super) fn is_terminal(&self, number: usize) -> bool {
+        self.slaves.get(number).is_some_and(|slave| slave.is_terminal)
     }
 
     /// Reports a slave with its last known state.
@@ -142,9 +181,14 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             ..process_data::cyclic_slave(slave)
         });
         let ignored = (0..).zip(&self.slaves).map(|(number, slave)| {
-            let idle = slave.member.is_none() || slave.condition == Condition::Parked;
+            // A terminal that is not in OP keeps no member from operating.
+            let idle = !slave.is_used()
+                || slave.condition == Condition::Parked
+                || slave.is_terminal && slave.condition != Condition::Operational;
             match (worked_on == Some(number), idle) {
                 (true, _) => STATUS_MASK,
+                // A terminal that returns is in INIT, and waits there for its repair.
+                (false, true) if slave.condition == Condition::Lost && slave.is_terminal => AlState::Init as u16,
                 (false, true) => u16::from(slave.report.status),
                 (false, false) => 0,
             }
@@ -156,12 +200,13 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             slaves: slaves.collect(),
             exchange: self.setup.exchange,
             clock: self.reference_clock(),
+            values: self.values,
         }
     }
 
     /// Fails if the slaves' process data leave no room in a frame for the longest mailbox of those in use.
     pub(super) fn check_plan(&self) -> Result<(), BusError> {
-        let used = self.slaves.iter().filter(|slave| slave.member.is_some());
+        let used = self.slaves.iter().filter(|slave| slave.is_used());
         let windows = used.map(|slave| {
             let (out, input) = (slave.fixed.mailbox_out.length, slave.fixed.mailbox_in.length);
             out.max(input)
@@ -193,6 +238,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
     pub(super) async fn send_safe_plan(&mut self) {
         let slaves = self.slaves.iter().map(|slave| CyclicSlave {
             role: None,
+            is_terminal: false,
             watched: false,
             ..process_data::cyclic_slave(slave)
         });
@@ -201,6 +247,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             exchange: self.setup.exchange,
             al_bits_ignored: STATUS_MASK,
             clock: self.reference_clock(),
+            values: [None; VALUES_MAX],
         };
         while let Err(back) = self.plans.enqueue(plan) {
             plan = back;
@@ -266,9 +313,9 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             .filter(|slave| slave.condition == Condition::Lost)
         {
             // It answers; from now on its clock may be the one that is distributed.
-            slave.condition = match slave.member {
-                Some(_) => Condition::Configuring,
-                None => Condition::Unused,
+            slave.condition = match slave.is_used() {
+                true => Condition::Configuring,
+                false => Condition::Unused,
             };
         }
         self.clocks.hold(false);
@@ -287,7 +334,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         self.slaves.iter().filter(present).count() as u16
     }
 
-    /// Whether all slaves in use are in OP.
+    /// Whether all members are in OP.
     pub(super) fn is_operational(&self) -> bool {
         let mut used = self.slaves.iter().filter(|slave| slave.member.is_some());
         used.all(|slave| slave.condition == Condition::Operational)
@@ -301,7 +348,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
                 continue;
             }
             status |= u16::from(slave.report.status);
-            if slave.condition == Condition::Operational && worked_on != Some(number) {
+            let exchanges = slave.lengths() != (0, 0);
+            if slave.condition == Condition::Operational && worked_on != Some(number) && exchanges {
                 answering |= 1 << (number & 31);
             }
         }
@@ -350,7 +398,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         };
         let (condition, report) = match answer {
             None => (Condition::Lost, AlReport::default()),
-            Some(report) if slave.member.is_none() => (Condition::Unused, report),
+            Some(report) if !slave.is_used() => (Condition::Unused, report),
             Some(report) => match slave.condition {
                 // Only a repair brings a slave back into use.
                 Condition::Operational if report.is(AlState::Operational) => (Condition::Operational, report),

@@ -312,19 +312,33 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 return Ok(Err(failure));
             }
         }
-        for number in 0..bus.slaves.len() {
+        let order = bus.order();
+        for number in order.iter().map(|number| usize::from(*number)) {
             let expected = bus.expectation(Some(number));
-            let work = pin!(bus.reach_safe_operational(number));
-            if let Err(failure) = inbox.guard(expected, true, work).await? {
-                return Ok(Err(failure));
+            let result = {
+                let work = pin!(bus.reach_safe_operational(number));
+                inbox.guard(expected, true, work).await?
+            };
+            match result {
+                Err(failure) if bus.is_terminal(number) => bus.refuse_terminal(number, failure).await,
+                Err(failure) => return Ok(Err(failure)),
+                Ok(()) => {}
             }
         }
         bus.send_plan().await;
-        for number in 0..bus.slaves.len() {
+        for number in order.iter().map(|number| usize::from(*number)) {
+            if !bus.is_on_the_way(number) {
+                continue;
+            }
             let expected = bus.expectation(Some(number));
-            let work = pin!(bus.reach_operational(number));
-            if let Err(failure) = inbox.guard(expected, true, work).await? {
-                return Ok(Err(failure));
+            let result = {
+                let work = pin!(bus.reach_operational(number));
+                inbox.guard(expected, true, work).await?
+            };
+            match result {
+                Err(failure) if bus.is_terminal(number) => bus.refuse_terminal(number, failure).await,
+                Err(failure) => return Ok(Err(failure)),
+                Ok(()) => {}
             }
         }
         bus.send_plan().await;
@@ -412,7 +426,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             let Some(slave) = self.bus.slaves.get(number).copied() else {
                 continue;
             };
-            if slave.member.is_none() || slave.condition == Condition::Operational {
+            if !slave.is_used() || slave.condition == Condition::Operational {
                 continue;
             }
             match self.repair_guarded(number).await {
@@ -422,6 +436,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                     self.bus.emit(BusEvent::Repaired { position }).await;
                     self.bus.introduce(number).await;
                 }
+                Ok(Err(failure)) if slave.is_terminal => self.bus.refuse_terminal(number, failure).await,
                 Ok(Err(failure)) => self.bus.refuse(failure).await,
                 Err(_) => return,
             }

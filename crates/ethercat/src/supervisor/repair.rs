@@ -42,7 +42,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         match places.iter().position(|there| *there == station) {
             Some(place) => {
                 self.is_in_order(&places, place, number).map_err(at(Step::Locate))?;
-                if self.resume(number).await.is_ok() {
+                // The process data of a terminal that was refused are not known.
+                let is_known = !slave.is_terminal || slave.own_data.is_some();
+                if is_known && self.resume(number).await.is_ok() {
                     return Ok(());
                 }
             }

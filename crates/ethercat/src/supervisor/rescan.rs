@@ -62,10 +62,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             .slaves
             .iter()
             .position(|slave| belongs_here(slave) && self.is_same(slave, &fixed.identity).is_ok());
-        let is_awaited = self
-            .slaves
-            .iter()
-            .any(|slave| slave.member.is_some() && belongs_here(slave));
+        let is_awaited = self.slaves.iter().any(|slave| slave.is_used() && belongs_here(slave));
         let (named, is_extra) = match returned {
             Some(number) => (self.readdress(number).await?, false),
             None if is_awaited => {
@@ -86,7 +83,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     /// Recognises a returned slave that is not in use; a slave in use keeps waiting for its repair. Returns its address,
     /// or 0 while it waits.
     async fn readdress(&mut self, number: usize) -> Result<u16, BusError> {
-        let unused = self.slaves.get(number).filter(|slave| slave.member.is_none());
+        let unused = self.slaves.get(number).filter(|slave| !slave.is_used());
         match unused.map(Slave::station) {
             Some(station) => {
                 self.clocks.was_off(number);

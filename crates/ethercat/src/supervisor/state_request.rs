@@ -46,16 +46,16 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             Err(BusError::State { .. }) => AlReport::default(),
             Err(error) => return Err(error.into()),
         };
-        if slave.member.is_some() && target != AlState::Operational {
+        if slave.is_used() && target != AlState::Operational {
             self.set_condition(number, Condition::Parked);
         }
-        if slave.member.is_none() && !is_exchanging(target) {
+        if !slave.is_used() && !is_exchanging(target) {
             self.forget_process_data(number);
         }
         let present = before.state().unwrap_or(AlState::Init);
         if target as u8 > present as u8 && target != AlState::Bootstrap {
             let result = self.climb(number, before.state(), target).await;
-            if slave.member.is_none() && result.is_err() {
+            if !slave.is_used() && result.is_err() {
                 self.forget_process_data(number);
             }
             result?;
@@ -67,7 +67,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             slave.report = report;
         }
         self.introduce(number).await;
-        if target == AlState::Operational && slave.member.is_some() && report.is(target) {
+        if target == AlState::Operational && slave.is_used() && report.is(target) {
             self.set_condition(number, Condition::Operational);
             if self.is_operational() {
                 self.emit(BusEvent::Operational).await;
@@ -120,7 +120,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         }
         self.send_plan().await;
         match self.slaves.get(number).copied() {
-            Some(slave) if slave.member.is_none() => {
+            Some(slave) if !slave.is_used() => {
                 if slave.process_data.is_some() {
                     self.await_inputs(&slave).await?;
                 }

@@ -4,6 +4,7 @@
 //! this program opens the port. The output says which. Without `--port` the one program that shares its machine is
 //! used.
 
+mod io;
 mod jobs;
 mod status;
 
@@ -94,6 +95,8 @@ pub enum Command {
     Disable(Arguments),
     /// Acknowledge a fault after its cause is gone; brings lost drives back.
     Acknowledge(Arguments),
+    /// List the named inputs and outputs of terminals, or show or set one of them.
+    Io(io::IoArguments),
     /// List the drawings in this computer's job log, with the progress of unfinished ones.
     Jobs(jobs::Arguments),
 }
@@ -153,6 +156,7 @@ pub fn run(command: &Command) -> Result<(), ProgramError> {
     let (arguments, name, order) = match command {
         Command::Status(arguments) => return status::run(arguments),
         Command::Jobs(arguments) => return jobs::run(arguments),
+        Command::Io(arguments) => return io::run(arguments),
         Command::Hold { at_pen_up, arguments } => (
             arguments,
             "hold",

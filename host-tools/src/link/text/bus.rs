@@ -182,6 +182,9 @@ pub fn bus_error(error: &BusError) -> String {
         BusError::ProcessLength { expected, actual } => {
             format!("the slave has {actual} bytes of process data in one direction, more than {expected}; assign less")
         }
+        BusError::SyncManagers { expected, actual } => {
+            format!("the slave's process data are in {actual} sync managers, more than {expected}; assign less")
+        }
         BusError::SiiBusy { waited_ms } => format!("the slave information memory was busy for {waited_ms} ms"),
         BusError::Sii { status } => {
             format!("the slave information memory reports an error (status {status:#06x}); it may be damaged")

@@ -2,7 +2,8 @@
 
 use super::bus::{PORT_HINT, al_state, bring_up_code, bring_up_step, identity_property, port_state};
 use super::one;
-use etherpen::application::{Fault, StopSource};
+use etherpen::application::{Fault, InputCause, StopSource};
+use etherpen::config::IoRole;
 use etherpen::ethercat::error::IdentityProperty;
 use etherpen::ethercat::state::{al_code_hint, al_code_text};
 
@@ -159,6 +160,19 @@ pub fn fault(fault: &Fault) -> String {
              answering; check its supply and its firmware, then acknowledge",
             one(slave)
         ),
+        Fault::StopInput { io, role, cause } => {
+            let what = match role {
+                IoRole::Door => "the door",
+                _ => "the emergency stop",
+            };
+            match cause {
+                InputCause::Open => format!("{what} is open (io {}); close it, then acknowledge", one(io)),
+                InputCause::Missing => format!(
+                    "the input of {what} is missing (io {}); check its terminal's supply and cable, then acknowledge",
+                    one(io)
+                ),
+            }
+        }
         Fault::UnexpectedBus { found, expected } => format!(
             "{found} drives are on the bus, {expected} were expected; check supply, cables and their order (etherpen bus \
              scan)"

@@ -1,0 +1,221 @@
+//! A slave's own process data: what it exchanges without a driver, and which sync managers carry it.
+//!
+//! The SII lists the sync managers (ETG.2010, category 41); terminals without a mailbox begin with sync manager 0. What a
+//! sync manager carries is listed by CoE (0x1C10 + its number names the process data objects assigned to it), or by the
+//! SII for slaves without CoE and for lists that are missing there. The data of a direction lie in the order of its sync
+//! managers, those of each from a whole byte on.
+//!
+//! Invariant: only what the application has chosen is written; every list and every wait ends.
+
+use super::information::{self, read_words};
+use super::objects::{Direction, Entry};
+use super::pre_operational::{ENTRIES_MAX, PDOS_MAX, read_list, sii_entries};
+use crate::acyclic::AcyclicPort;
+use crate::coe::ObjectDictionary;
+use crate::error::BusError;
+use crate::mailbox::Mailbox;
+use crate::wire::coe::Object;
+use crate::wire::sii::{self, PdoRecord, Record, SyncManagerRecord, SyncManagerUse};
+use heapless::Vec;
+
+/// Most sync managers of a slave that carry process data.
+pub const DATA_MANAGERS_MAX: usize = 4;
+/// Most sync managers that a slave controller has.
+const MANAGERS_MAX: u16 = 16;
+/// Lowest address of process data: digital outputs have their own register (IEC 61158-4-12, 0x0F00).
+const OUTPUTS_START: u16 = 0x0F00;
+/// Object that lists the process data objects of sync manager 0; those of the others follow.
+const ASSIGNMENT: u16 = 0x1C10;
+
+/// A sync manager that carries process data.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct DataManager {
+    /// Its number.
+    pub number: u8,
+    /// Whether it carries inputs; otherwise outputs.
+    pub is_input: bool,
+    /// Control byte of its register.
+    pub control: u8,
+    /// First byte in the slave's memory.
+    pub start: u16,
+    /// Bytes.
+    pub length: u16,
+}
+
+/// A slave's own process data.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct OwnData {
+    /// The sync managers in the order of their numbers; the rest have a length of 0.
+    pub managers: [DataManager; DATA_MANAGERS_MAX],
+    /// Bytes of all outputs.
+    pub output_length: u16,
+    /// Bytes of all inputs.
+    pub input_length: u16,
+}
+
+impl OwnData {
+    /// The sync managers that are in use.
+    pub fn managers(&self) -> impl Iterator<Item = &DataManager> {
+        self.managers.iter().filter(|manager| manager.length > 0)
+    }
+
+    const fn length(&mut self, direction: Direction) -> &mut u16 {
+        match direction {
+            Direction::Outputs => &mut self.output_length,
+            Direction::Inputs => &mut self.input_length,
+        }
+    }
+}
+
+/// A process data object for a sync manager, and one of its entries; `None` for an object whose entries stay.
+pub type Chosen = (u8, u16, Option<Entry>);
+
+/// Assigns process data objects to sync managers, and maps their entries, in PREOP. Entries of one object stand together,
+/// and objects of one sync manager.
+///
+/// # Errors
+/// [`BusError::SdoAbort`] for what the slave refuses, or errors of the mailbox.
+pub async fn choose<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    mailbox: &mut Mailbox,
+    chosen: &[Chosen],
+) -> Result<(), BusError> {
+    let mut dictionary = ObjectDictionary::new(port, mailbox);
+    for of_manager in chosen.chunk_by(|one, next| one.0 == next.0) {
+        let Some((manager, ..)) = of_manager.first() else {
+            continue;
+        };
+        let assignment = |sub| Object::new(ASSIGNMENT + u16::from(*manager), sub);
+        dictionary.write(assignment(0), 0, 1).await?;
+        let mut assigned = 0;
+        for of_pdo in of_manager.chunk_by(|one, next| one.1 == next.1) {
+            let Some((_, pdo, _)) = of_pdo.first() else { continue };
+            let entries = of_pdo.iter().filter_map(|(.., entry)| *entry);
+            let mut mapped = 0;
+            for entry in entries {
+                if mapped == 0 {
+                    dictionary.write(Object::new(*pdo, 0), 0, 1).await?;
+                }
+                mapped += 1;
+                dictionary.write(Object::new(*pdo, mapped), entry.mapping(), 4).await?;
+            }
+            if mapped > 0 {
+                dictionary.write(Object::new(*pdo, 0), mapped.into(), 1).await?;
+            }
+            assigned += 1;
+            dictionary.write(assignment(assigned), u32::from(*pdo), 2).await?;
+        }
+        dictionary.write(assignment(0), assigned.into(), 1).await?;
+    }
+    Ok(())
+}
+
+/// Finds the process data of a slave in PREOP; `mailbox` if it supports CoE. Passes each entry to `take` with the bit at
+/// which it begins in all data of its direction.
+///
+/// # Errors
+/// [`BusError::SyncManagers`] for data in too many sync managers, or errors of the SII and the mailbox.
+pub async fn find<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    mut mailbox: Option<&mut Mailbox>,
+    mut take: impl FnMut(Direction, u16, Entry),
+) -> Result<OwnData, BusError> {
+    let mut data = OwnData::default();
+    let Some(category) = information::find_category(port, station, sii::CATEGORY_SYNC_MANAGER).await? else {
+        return Ok(data);
+    };
+    let words = (SyncManagerRecord::LEN / 2) as u16;
+    let mut used = 0;
+    for number in 0..(category.words / words).min(MANAGERS_MAX) {
+        let mut bytes = [0; SyncManagerRecord::LEN];
+        read_words(port, station, category.word.saturating_add(number * words), &mut bytes).await?;
+        let Ok(record) = SyncManagerRecord::parse(&bytes) else {
+            break;
+        };
+        let direction = match record.usage {
+            SyncManagerUse::Outputs => Direction::Outputs,
+            SyncManagerUse::Inputs => Direction::Inputs,
+            _ => continue,
+        };
+        if record.flags & sii::SYNC_MANAGER_VIRTUAL != 0 || record.start < OUTPUTS_START {
+            continue;
+        }
+        let first = data.length(direction).saturating_mul(8);
+        let mut bits = 0_u16;
+        let mut count = |entry: Entry| {
+            take(direction, first.saturating_add(bits), entry);
+            bits = bits.saturating_add(entry.bits.into());
+            Ok(())
+        };
+        let listed = match mailbox.as_deref_mut() {
+            Some(mailbox) => by_coe(port, station, mailbox, number as u8, direction, &mut count).await?,
+            None => false,
+        };
+        if !listed {
+            let here = |pdo: &PdoRecord| u16::from(pdo.sync_manager) == number;
+            sii_entries(port, station, direction, here, &mut count).await?;
+        }
+        let length = match bits {
+            // Without lists, the length is that of the SII.
+            0 if !listed => record.length,
+            bits => bits.div_ceil(8),
+        };
+        let sum = data.length(direction);
+        *sum = sum.saturating_add(length);
+        if length == 0 {
+            continue;
+        }
+        let place = data.managers.get_mut(used).ok_or(BusError::SyncManagers {
+            expected: DATA_MANAGERS_MAX as u8,
+            actual: used as u8 + 1,
+        })?;
+        used += 1;
+        *place = DataManager {
+            number: number as u8,
+            is_input: direction == Direction::Inputs,
+            control: record.control,
+            start: record.start,
+            length,
+        };
+    }
+    Ok(data)
+}
+
+/// Passes the entries that a sync manager carries according to CoE to `take`; false if the slave has no such lists.
+async fn by_coe<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    mailbox: &mut Mailbox,
+    number: u8,
+    direction: Direction,
+    take: &mut impl FnMut(Entry) -> Result<(), BusError>,
+) -> Result<bool, BusError> {
+    let mut pdos: Vec<u16, PDOS_MAX> = Vec::new();
+    let mut dictionary = ObjectDictionary::new(port, mailbox);
+    let assignment = ASSIGNMENT + u16::from(number);
+    let assigned = read_list(&mut dictionary, assignment, PDOS_MAX as u8, 2, |pdo| {
+        // The list has room for as many.
+        let _ = pdos.push(pdo as u16);
+        Ok(())
+    });
+    match assigned.await {
+        Err(BusError::SdoAbort { .. }) => return Ok(false),
+        other => other?,
+    }
+    for pdo in pdos {
+        let mut dictionary = ObjectDictionary::new(port, mailbox);
+        let entries = read_list(&mut dictionary, pdo, ENTRIES_MAX, 4, |value| {
+            take(Entry::from_mapping(value))
+        });
+        match entries.await {
+            // An object with unreadable entries, none of which was passed on yet.
+            Err(BusError::SdoAbort { object, .. }) if object.sub == 0 => {
+                let here = |record: &PdoRecord| record.index == pdo;
+                sii_entries(port, station, direction, here, take).await?;
+            }
+            other => other?,
+        }
+    }
+    Ok(true)
+}

@@ -1,0 +1,87 @@
+//! The chain of a cell whose options name no slaves: the configured drives, and the terminals that `[[io]]` names.
+//!
+//! Each named place gets a digital terminal of eight channels, inputs or outputs; the places between them get couplers.
+//! The contacts of roles that are closed in operation are closed at the start.
+
+use etherpen::config::{Config, IoDirection, IoRole};
+use etherpen_segment::SlaveKind;
+
+/// The slaves of a configuration in the order of the chain.
+pub(crate) fn chain(config: &Config) -> Vec<SlaveKind> {
+    let mut drives = usize::from(config.bus.drives).min(config.axes.len());
+    let places = config
+        .io
+        .iter()
+        .map(|point| usize::from(point.slave) + 1)
+        .max()
+        .unwrap_or(0);
+    let mut chain = Vec::new();
+    while chain.len() < places || drives > 0 {
+        let here = |point: &&etherpen::config::IoPoint| usize::from(point.slave) == chain.len();
+        let named = config.io.iter().find(here);
+        chain.push(match named.map(|point| point.direction) {
+            Some(IoDirection::In) => SlaveKind::El1008,
+            Some(IoDirection::Out) => SlaveKind::El2008,
+            None if drives > 0 => {
+                drives -= 1;
+                SlaveKind::Ax2000
+            }
+            None => SlaveKind::Ek1100,
+        });
+    }
+    chain
+}
+
+/// The inputs of a terminal, by its place from 0, at the start.
+pub(crate) fn closed_contacts(config: &Config, place: usize) -> u8 {
+    let closed = config.io.iter().filter(|point| {
+        let is_closed = matches!(point.role, IoRole::EmergencyStop | IoRole::Door | IoRole::Hold);
+        is_closed && usize::from(point.slave) == place
+    });
+    closed.fold(0, |bits, point| {
+        // The entry of channel n is object 0x6000 + 0x10 n.
+        let by_object = point.object.map(|object| object.index.wrapping_sub(0x6000) / 0x10);
+        let bit = point.bit.or(by_object).filter(|bit| *bit < 8);
+        bits | bit.map_or(0, |bit| 1 << bit)
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use etherpen::config::IoPoint;
+
+    #[test]
+    fn named_places_get_terminals_and_closed_contacts_wherever_they_are() {
+        let mut config = Config::default();
+        assert_eq!(chain(&config), vec![SlaveKind::Ax2000; 4]);
+        let point = |slave, direction, bit, role| IoPoint {
+            slave,
+            direction,
+            bit: Some(bit),
+            role,
+            ..IoPoint::default()
+        };
+        config.io.extend([
+            point(1, IoDirection::In, 0, IoRole::EmergencyStop),
+            point(1, IoDirection::In, 3, IoRole::Start),
+            point(1, IoDirection::In, 5, IoRole::Door),
+            point(7, IoDirection::Out, 0, IoRole::Lamp),
+        ]);
+        let kinds = [
+            SlaveKind::Ax2000,
+            SlaveKind::El1008,
+            SlaveKind::Ax2000,
+            SlaveKind::Ax2000,
+            SlaveKind::Ax2000,
+            SlaveKind::Ek1100,
+            SlaveKind::Ek1100,
+            SlaveKind::El2008,
+        ];
+        assert_eq!(chain(&config), kinds);
+        assert_eq!(
+            (closed_contacts(&config, 1), closed_contacts(&config, 7)),
+            (0b10_0001, 0)
+        );
+    }
+}

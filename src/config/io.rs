@@ -1,0 +1,469 @@
+//! Named inputs and outputs of terminals: `[[io]]`.
+//!
+//! Invariant: a configuration that [`check`] has passed names each point once, gives each output to one point only, and
+//! has roles only where the firmware can serve them.
+
+use super::Config;
+use crate::ethercat::configure::Direction;
+use crate::ethercat::cyclic::{PROCESS_BYTES_MAX, VALUES_MAX};
+use crate::ethercat::slave_set::SlaveSet;
+use crate::robot_bus::BUS_SLAVES_MAX;
+use core::fmt::{self, Write};
+use heapless::{String, Vec};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+/// Most named inputs and outputs.
+pub const IO_MAX: usize = VALUES_MAX;
+/// Longest name, bytes.
+pub const IO_NAME_MAX: usize = 16;
+/// Name of a point: letters, digits, `_` and `-`.
+pub type IoName = String<IO_NAME_MAX>;
+/// Process data of one direction, bits.
+const PROCESS_BITS_MAX: u16 = 8 * PROCESS_BYTES_MAX as u16;
+
+/// Whether a point is read or written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum IoDirection {
+    /// The terminal's input: the robot reads it.
+    #[default]
+    In,
+    /// The terminal's output: the robot writes it.
+    Out,
+}
+
+impl From<IoDirection> for Direction {
+    fn from(direction: IoDirection) -> Self {
+        match direction {
+            IoDirection::In => Self::Inputs,
+            IoDirection::Out => Self::Outputs,
+        }
+    }
+}
+
+/// Type of a point's value.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum IoType {
+    /// A bit.
+    #[default]
+    Bool,
+    /// A byte without a sign.
+    U8,
+    /// A byte with a sign.
+    I8,
+    /// Two bytes without a sign.
+    U16,
+    /// Two bytes with a sign.
+    I16,
+    /// Four bytes without a sign.
+    U32,
+    /// Four bytes with a sign.
+    I32,
+}
+
+impl IoType {
+    /// Bits in the process data.
+    pub const fn bits(self) -> u8 {
+        match self {
+            Self::Bool => 1,
+            Self::U8 | Self::I8 => 8,
+            Self::U16 | Self::I16 => 16,
+            Self::U32 | Self::I32 => 32,
+        }
+    }
+
+    /// Least and greatest value.
+    pub const fn range(self) -> (i64, i64) {
+        match self {
+            Self::Bool => (0, 1),
+            Self::U8 => (0, u8::MAX as i64),
+            Self::I8 => (i8::MIN as i64, i8::MAX as i64),
+            Self::U16 => (0, u16::MAX as i64),
+            Self::I16 => (i16::MIN as i64, i16::MAX as i64),
+            Self::U32 => (0, u32::MAX as i64),
+            Self::I32 => (i32::MIN as i64, i32::MAX as i64),
+        }
+    }
+
+    /// The value of its bits, in the lowest bits of `raw`.
+    pub const fn value(self, raw: u32) -> i64 {
+        match self {
+            Self::Bool => (raw & 1) as i64,
+            Self::U8 => (raw as u8) as i64,
+            Self::I8 => (raw as u8).cast_signed() as i64,
+            Self::U16 => (raw as u16) as i64,
+            Self::I16 => (raw as u16).cast_signed() as i64,
+            Self::U32 => raw as i64,
+            Self::I32 => raw.cast_signed() as i64,
+        }
+    }
+
+    /// The bits of a value; `None` outside [`Self::range`].
+    pub const fn raw(self, value: i64) -> Option<u32> {
+        let (least, greatest) = self.range();
+        if value < least || value > greatest {
+            return None;
+        }
+        let mask = u32::MAX >> (32 - self.bits() as u32);
+        Some(value as u32 & mask)
+    }
+}
+
+/// What the robot does by itself with a point.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum IoRole {
+    /// Nothing: the host reads or sets it.
+    #[default]
+    None,
+    /// Input, closed (1) in operation. Open or missing, it stops the drives at once, and keeps them stopped.
+    EmergencyStop,
+    /// Input, closed (1) in operation. Open or missing, it stops drives that have power, and keeps them from getting it.
+    Door,
+    /// Input, closed (1) in operation. Open or missing, it holds the drawing on its path.
+    Hold,
+    /// Input: a change from 0 to 1 switches the drives on, or resumes a held drawing.
+    Start,
+    /// Output that shows the operating mode.
+    Lamp,
+}
+
+impl IoRole {
+    /// Whether the drives need this input to have power.
+    pub const fn stops(self) -> bool {
+        matches!(self, Self::EmergencyStop | Self::Door)
+    }
+
+    /// Name as used in `etherpen.toml`.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::None => "none",
+            Self::EmergencyStop => "emergency_stop",
+            Self::Door => "door",
+            Self::Hold => "hold",
+            Self::Start => "start",
+            Self::Lamp => "lamp",
+        }
+    }
+}
+
+/// What becomes of an output at a fault.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum OnFault {
+    /// It becomes 0, and stays 0 until it is set again.
+    #[default]
+    Off,
+    /// It keeps its value.
+    Hold,
+}
+
+/// An object in a terminal's process data: in text, `"0x6000:01"`, both numbers hexadecimal.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ObjectName {
+    /// Index.
+    pub index: u16,
+    /// Sub-index.
+    pub sub: u8,
+}
+
+/// Longest text of an [`ObjectName`], bytes.
+const OBJECT_TEXT_MAX: usize = 9;
+
+impl fmt::Display for ObjectName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "0x{:04X}:{:02X}", self.index, self.sub)
+    }
+}
+
+impl ObjectName {
+    fn parse(text: &str) -> Option<Self> {
+        let (index, sub) = text.strip_prefix("0x")?.split_once(':')?;
+        let hexadecimal = |digits: &str, most: usize| {
+            (1..=most).contains(&digits.len()) && digits.bytes().all(|digit| digit.is_ascii_hexdigit())
+        };
+        if !hexadecimal(index, 4) || !hexadecimal(sub, 2) {
+            return None;
+        }
+        Some(Self {
+            index: u16::from_str_radix(index, 16).ok()?,
+            sub: u8::from_str_radix(sub, 16).ok()?,
+        })
+    }
+}
+
+impl Serialize for ObjectName {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        if serializer.is_human_readable() {
+            let mut text: String<OBJECT_TEXT_MAX> = String::new();
+            // The capacity holds any object.
+            let _ = write!(text, "{self}");
+            return serializer.serialize_str(&text);
+        }
+        (self.index, self.sub).serialize(serializer)
+    }
+}
+
+impl<'de> Deserialize<'de> for ObjectName {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        if deserializer.is_human_readable() {
+            let text: String<OBJECT_TEXT_MAX> = String::deserialize(deserializer)?;
+            return Self::parse(&text).ok_or_else(|| {
+                D::Error::custom("expected an object as index and sub-index in hexadecimal, \"0x6000:01\"")
+            });
+        }
+        let (index, sub) = <(u16, u8)>::deserialize(deserializer)?;
+        Ok(Self { index, sub })
+    }
+}
+
+/// A named input or output of a terminal.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct IoPoint {
+    /// Its name.
+    pub name: IoName,
+    /// Place of the terminal in the chain, from 0.
+    pub slave: u8,
+    /// Whether it is read or written.
+    pub direction: IoDirection,
+    /// Its first bit in the terminal's process data of this direction; instead of `object`.
+    pub bit: Option<u16>,
+    /// The object of its entry in the terminal's process data; instead of `bit`.
+    pub object: Option<ObjectName>,
+    /// Its type.
+    #[serde(rename = "type")]
+    pub kind: IoType,
+    /// What the robot does by itself with it.
+    pub role: IoRole,
+    /// What becomes of an output at a fault.
+    pub on_fault: OnFault,
+}
+
+/// All named points, in the order of the file.
+pub type IoPoints = Vec<IoPoint, IO_MAX>;
+
+/// Why a point cannot be used; points count from 0.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum IoError {
+    /// The name is empty or has other characters than letters, digits, `_` and `-`.
+    Name {
+        /// The point.
+        io: u8,
+    },
+    /// Two points have one name.
+    SameName {
+        /// The first.
+        first: u8,
+        /// The second.
+        second: u8,
+    },
+    /// The place is beyond the longest chain.
+    Slave {
+        /// The point.
+        io: u8,
+        /// Last place that is possible.
+        expected: u8,
+        /// The place given.
+        actual: u8,
+    },
+    /// Either `bit` or `object` has to be given.
+    Place {
+        /// The point.
+        io: u8,
+    },
+    /// The value ends beyond the longest process data.
+    Bit {
+        /// The point.
+        io: u8,
+        /// Last bit at which this type may begin.
+        expected: u16,
+        /// The bit given.
+        actual: u16,
+    },
+    /// The role needs the other direction, or a bit.
+    Role {
+        /// The point.
+        io: u8,
+        /// The role.
+        role: IoRole,
+    },
+    /// Two outputs share bits.
+    SameOutput {
+        /// The first.
+        first: u8,
+        /// The second.
+        second: u8,
+    },
+}
+
+impl IoPoint {
+    fn check(&self, io: u8) -> Result<(), IoError> {
+        let is_valid = |byte: u8| byte.is_ascii_alphanumeric() || matches!(byte, b'_' | b'-');
+        if self.name.is_empty() || !self.name.bytes().all(is_valid) {
+            return Err(IoError::Name { io });
+        }
+        if usize::from(self.slave) >= BUS_SLAVES_MAX {
+            return Err(IoError::Slave {
+                io,
+                expected: BUS_SLAVES_MAX as u8 - 1,
+                actual: self.slave,
+            });
+        }
+        if self.bit.is_some() == self.object.is_some() {
+            return Err(IoError::Place { io });
+        }
+        let expected = PROCESS_BITS_MAX - u16::from(self.kind.bits());
+        if let Some(actual) = self.bit.filter(|bit| *bit > expected) {
+            return Err(IoError::Bit { io, expected, actual });
+        }
+        let serves = match self.role {
+            IoRole::None => true,
+            IoRole::Lamp => self.direction == IoDirection::Out && self.kind == IoType::Bool,
+            _ => self.direction == IoDirection::In && self.kind == IoType::Bool,
+        };
+        match serves {
+            true => Ok(()),
+            false => Err(IoError::Role { io, role: self.role }),
+        }
+    }
+
+    /// Whether this and another point write to the same bits.
+    fn overlaps(&self, other: &Self) -> bool {
+        let are_outputs = self.direction == IoDirection::Out && other.direction == IoDirection::Out;
+        let range = |point: &Self| point.bit.map(|bit| bit..bit + u16::from(point.kind.bits()));
+        let same_bits = match (range(self), range(other)) {
+            (Some(one), Some(two)) => one.start < two.end && two.start < one.end,
+            _ => self.object.is_some() && self.object == other.object,
+        };
+        are_outputs && self.slave == other.slave && same_bits
+    }
+}
+
+/// Checks all points.
+///
+/// # Errors
+/// The first [`IoError`].
+pub(super) fn check(points: &IoPoints) -> Result<(), IoError> {
+    for (io, point) in (0_u8..).zip(points) {
+        point.check(io)?;
+        for (first, before) in (0..io).zip(points) {
+            let second = io;
+            if before.name == point.name {
+                return Err(IoError::SameName { first, second });
+            }
+            if before.overlaps(point) {
+                return Err(IoError::SameOutput { first, second });
+            }
+        }
+    }
+    Ok(())
+}
+
+impl Config {
+    /// Places of the terminals that the named points need.
+    #[must_use]
+    pub fn terminals(&self) -> SlaveSet {
+        self.io.iter().map(|point| usize::from(point.slave)).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn point(name: &str, slave: u8, direction: IoDirection, bit: u16) -> IoPoint {
+        IoPoint {
+            name: name.try_into().unwrap(),
+            slave,
+            direction,
+            bit: Some(bit),
+            ..IoPoint::default()
+        }
+    }
+
+    #[test]
+    fn each_mistake_is_named_with_its_point() {
+        let good = [
+            point("door", 1, IoDirection::In, 0),
+            point("lamp", 2, IoDirection::Out, 3),
+        ];
+        let checked = |change: fn(&mut [IoPoint; 2])| {
+            let mut points = good.clone();
+            change(&mut points);
+            check(&points.into_iter().collect())
+        };
+        assert_eq!(checked(|_| {}), Ok(()));
+        let io = 1;
+        assert_eq!(checked(|points| points[1].name.clear()), Err(IoError::Name { io }));
+        assert_eq!(
+            checked(|points| points[1].name.push(' ').unwrap()),
+            Err(IoError::Name { io })
+        );
+        let (first, second) = (0, 1);
+        let same = checked(|points| points[1].name = points[0].name.clone());
+        assert_eq!(same, Err(IoError::SameName { first, second }));
+        let far = checked(|points| points[1].slave = 16);
+        let (expected, actual) = (15, 16);
+        assert_eq!(far, Err(IoError::Slave { io, expected, actual }));
+        assert_eq!(checked(|points| points[1].bit = None), Err(IoError::Place { io }));
+        let both = checked(|points| points[1].object = Some(ObjectName { index: 0x7000, sub: 1 }));
+        assert_eq!(both, Err(IoError::Place { io }));
+        let long = checked(|points| (points[1].kind, points[1].bit) = (IoType::I32, Some(225)));
+        let (expected, actual) = (224, 225);
+        assert_eq!(long, Err(IoError::Bit { io, expected, actual }));
+        for (role, kind, direction) in [
+            (IoRole::Lamp, IoType::Bool, IoDirection::In),
+            (IoRole::Lamp, IoType::U8, IoDirection::Out),
+            (IoRole::Door, IoType::Bool, IoDirection::Out),
+            (IoRole::EmergencyStop, IoType::U8, IoDirection::In),
+        ] {
+            let mut points = good.clone();
+            (points[1].role, points[1].kind, points[1].direction) = (role, kind, direction);
+            assert_eq!(check(&points.into_iter().collect()), Err(IoError::Role { io, role }));
+        }
+        let shared = checked(|points| {
+            (points[0].slave, points[0].direction) = (2, IoDirection::Out);
+            (points[0].kind, points[0].bit) = (IoType::U16, Some(0));
+        });
+        assert_eq!(shared, Err(IoError::SameOutput { first, second }));
+    }
+
+    #[test]
+    fn values_of_every_type_survive_their_bits_and_others_are_refused() {
+        use IoType::{Bool, I8, I16, I32, U8, U16, U32};
+        for kind in [Bool, U8, I8, U16, I16, U32, I32] {
+            let (least, greatest) = kind.range();
+            for value in [least, least / 2, 0, 1, greatest / 3, greatest] {
+                let raw = kind.raw(value).unwrap();
+                assert_eq!(kind.value(raw), value, "{kind:?}");
+                assert_eq!(u64::from(raw) >> kind.bits(), 0, "{kind:?}");
+            }
+            assert_eq!((kind.raw(least - 1), kind.raw(greatest + 1)), (None, None), "{kind:?}");
+        }
+    }
+
+    #[test]
+    fn objects_are_read_as_they_are_written() {
+        let object = ObjectName {
+            index: 0x6010,
+            sub: 0x0A,
+        };
+        assert_eq!(ObjectName::parse("0x6010:0A"), Some(object));
+        assert_eq!(ObjectName::parse("0x6010:a"), Some(object));
+        for wrong in [
+            "",
+            "6010:01",
+            "0x:1",
+            "0x6010",
+            "0x60100:1",
+            "0x6010:100",
+            "0x6010:-1",
+            "0x+601:1",
+        ] {
+            assert_eq!(ObjectName::parse(wrong), None, "{wrong}");
+        }
+    }
+}

@@ -1,0 +1,313 @@
+//! Named inputs and outputs of terminals in the critical task.
+//!
+//! Each millisecond the inputs are read when the drives' inputs are, and the outputs are written with the drives'
+//! outputs. An input that stops the drives is judged here, so that the quick stop leaves in the millisecond in which the
+//! input arrived.
+//!
+//! Invariants: an output whose terminal is not in operation is requested anew before it is written again; at a fault
+//! every output that does not keep its value becomes 0 in the same millisecond; without points nothing is done.
+
+use crate::application::{Fault, InputCause};
+use crate::board::Interlock;
+use crate::config::{IO_MAX, IoDirection, IoPoint, IoRole, OnFault};
+use crate::drives::io::IoGroup;
+use crate::ethercat::place::Place;
+use heapless::Vec;
+
+/// A point as the critical task needs it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct IoPlace {
+    slave: u8,
+    direction: IoDirection,
+    /// Its first bit; `None` for the bit at which the bus found its object.
+    bit: Option<u16>,
+    bits: u8,
+    role: IoRole,
+    /// Whether a fault leaves the output as it is.
+    is_kept: bool,
+}
+
+impl From<&IoPoint> for IoPlace {
+    fn from(point: &IoPoint) -> Self {
+        Self {
+            slave: point.slave,
+            direction: point.direction,
+            bit: point.bit,
+            bits: point.kind.bits(),
+            role: point.role,
+            // The controller sets a lamp in every mode.
+            is_kept: point.on_fault == OnFault::Hold || point.role == IoRole::Lamp,
+        }
+    }
+}
+
+/// All points as the critical task needs them.
+pub type IoPlaces = Vec<IoPlace, IO_MAX>;
+
+/// Why an input stops the drives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct IoStop {
+    /// The point, from 0.
+    pub io: u8,
+    /// Its role.
+    pub role: IoRole,
+    /// Whether it is open or missing.
+    pub cause: InputCause,
+}
+
+impl IoStop {
+    /// The fault of this stop.
+    pub const fn fault(&self) -> Fault {
+        Fault::StopInput {
+            io: self.io,
+            role: self.role,
+            cause: self.cause,
+        }
+    }
+
+    /// Whether the stop lasts whether the drives have power or not: an emergency stop that is open.
+    pub const fn is_interlock(&self) -> bool {
+        matches!((self.role, self.cause), (IoRole::EmergencyStop, InputCause::Open))
+    }
+}
+
+/// The points in one millisecond.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct IoReport {
+    /// Points whose value is not 0, one bit each: inputs as last read, outputs as written.
+    pub set: u16,
+    /// Points that are exchanged, one bit each; others are missing.
+    pub valid: u16,
+    /// One of the points that are no bits, and its value; another one each millisecond.
+    pub word: Option<(u8, u32)>,
+    /// What stops the drives.
+    pub stop: Option<IoStop>,
+    /// The first input that holds drawings: its point.
+    pub hold: Option<u8>,
+    /// Whether a start input is closed, and was open since it arrives.
+    pub start: bool,
+}
+
+/// The named points of the critical task.
+#[derive(Debug)]
+pub struct Io {
+    points: IoPlaces,
+    places: [Option<Place<u32>>; IO_MAX],
+    /// Number of the plan to which the places belong.
+    plan: Option<u32>,
+    /// Inputs as last read, outputs as requested.
+    values: [u32; IO_MAX],
+    /// Milliseconds since an input last arrived.
+    missing_ms: [u16; IO_MAX],
+    /// Inputs that were open since they arrive, one bit each.
+    was_open: u16,
+    word_next: u8,
+    report: IoReport,
+}
+
+const _: () = assert!(IO_MAX <= u16::BITS as usize, "a bit for each point");
+
+impl Default for Io {
+    fn default() -> Self {
+        Self::new()
+    }
+}
+
+impl Io {
+    /// No points.
+    pub const fn new() -> Self {
+        Self {
+            points: Vec::new(),
+            places: [None; IO_MAX],
+            plan: None,
+            values: [0; IO_MAX],
+            missing_ms: [u16::MAX; IO_MAX],
+            was_open: 0,
+            word_next: 0,
+            report: IoReport {
+                set: 0,
+                valid: 0,
+                word: None,
+                stop: None,
+                hold: None,
+                start: false,
+            },
+        }
+    }
+
+    /// Replaces the points; all outputs become 0, and no input has arrived.
+    #[cold]
+    pub fn configure(&mut self, points: IoPlaces) {
+        *self = Self::new();
+        self.points = points;
+    }
+
+    /// Requests the value of an output for the following milliseconds.
+    #[cold]
+    pub fn request(&mut self, io: u8, value: u32) {
+        let io = usize::from(io);
+        let is_output = self
+            .points
+            .get(io)
+            .is_some_and(|point| point.direction == IoDirection::Out);
+        if let Some(requested) = self.values.get_mut(io).filter(|_| is_output) {
+            *requested = value;
+        }
+    }
+
+    /// The points in this millisecond.
+    #[inline]
+    pub const fn report(&self) -> &IoReport {
+        &self.report
+    }
+
+    /// The emergency stop that is open.
+    #[inline]
+    pub fn interlock(&self) -> Option<Interlock> {
+        let stop = self.report.stop.filter(IoStop::is_interlock);
+        stop.map(|stop| Interlock::Input { io: stop.io })
+    }
+
+    /// Whether the bus has terminals whose failure is no fault.
+    #[inline]
+    pub fn spares_terminals(&self) -> bool {
+        let spares = |point: &IoPlace| {
+            let here = |other: &IoPlace| other.slave == point.slave && other.role.stops();
+            !self.points.iter().any(here)
+        };
+        self.points.iter().any(spares)
+    }
+
+    /// Takes this millisecond's inputs. An input counts as missing after `missing_max_ms` without it.
+    #[inline]
+    pub fn read(&mut self, group: &impl IoGroup, missing_max_ms: u16) {
+        if !self.points.is_empty() {
+            self.read_points(group, missing_max_ms);
+        }
+    }
+
+    #[inline(never)]
+    fn read_points(&mut self, group: &impl IoGroup, missing_max_ms: u16) {
+        if self.plan != Some(group.terminal_plan()) {
+            self.find(group);
+        }
+        let mut report = IoReport {
+            word: self.next_word(),
+            ..IoReport::default()
+        };
+        let states = self.values.iter_mut().zip(&mut self.missing_ms);
+        let points = self.points.iter().zip(&self.places).zip(states);
+        for (io, ((point, place), (value, missing_ms))) in (0_u8..).zip(points) {
+            let bit = 1_u16 << (io & 15);
+            let Some(place) = place else {
+                // A terminal that is not in operation is missing at once.
+                report.miss(io, point, InputCause::Missing);
+                continue;
+            };
+            if point.direction == IoDirection::Out {
+                report.valid |= bit;
+                report.set |= if *value != 0 { bit } else { 0 };
+                continue;
+            }
+            match group.terminal_value(place) {
+                Some(arrived) => (*value, *missing_ms) = (arrived, 0),
+                None => *missing_ms = missing_ms.saturating_add(1),
+            }
+            if *missing_ms > missing_max_ms {
+                report.miss(io, point, InputCause::Missing);
+                self.was_open &= !bit;
+                continue;
+            }
+            report.valid |= bit;
+            match *value {
+                0 => {
+                    report.miss(io, point, InputCause::Open);
+                    self.was_open |= bit;
+                }
+                _ => {
+                    report.set |= bit;
+                    report.start |= point.role == IoRole::Start && self.was_open & bit != 0;
+                }
+            }
+        }
+        self.report = report;
+    }
+
+    /// The next point that is no bit, and its value.
+    fn next_word(&mut self) -> Option<(u8, u32)> {
+        let from = self.word_next;
+        let points = || (0_u8..).zip(self.points.iter().zip(&self.values));
+        let is_word = |(_, (point, _)): &(u8, (&IoPlace, &u32))| point.bits > 1;
+        let after = points().find(|next| next.0 >= from && is_word(next));
+        let (io, (_, value)) = after.or_else(|| points().find(is_word))?;
+        let word = (io, *value);
+        self.word_next = io.wrapping_add(1);
+        Some(word)
+    }
+
+    /// Finds the places of a new plan. An output that has none becomes 0.
+    #[cold]
+    fn find(&mut self, group: &impl IoGroup) {
+        self.plan = Some(group.terminal_plan());
+        let states = self.values.iter_mut().zip(&mut self.missing_ms);
+        let points = self.points.iter().zip(&mut self.places).zip(states);
+        for (io, ((point, place), (value, missing_ms))) in (0_u8..).zip(points) {
+            let found = match point.bit {
+                Some(bit) => group.terminal_bits(point.slave.into(), point.direction.into(), bit, point.bits),
+                None => group.terminal_object(io.into()),
+            };
+            if found.is_none() {
+                *missing_ms = u16::MAX;
+                self.was_open &= !(1 << (io & 15));
+                if point.direction == IoDirection::Out && point.role != IoRole::Lamp {
+                    *value = 0;
+                }
+            }
+            *place = found;
+        }
+    }
+
+    /// Writes the outputs; with `has_fault`, those that do not keep their values become 0.
+    #[inline]
+    pub fn write(&mut self, group: &mut impl IoGroup, has_fault: bool) {
+        if !self.points.is_empty() {
+            self.write_points(group, has_fault);
+        }
+    }
+
+    #[inline(never)]
+    fn write_points(&mut self, group: &mut impl IoGroup, has_fault: bool) {
+        let points = self.points.iter().zip(&self.places).zip(&mut self.values);
+        for ((point, place), value) in points {
+            if point.direction == IoDirection::In {
+                continue;
+            }
+            if has_fault && !point.is_kept {
+                *value = 0;
+            }
+            if let Some(place) = place {
+                group.set_terminal_value(place, *value);
+            }
+        }
+    }
+}
+
+impl IoReport {
+    /// Notes an input that is open or missing.
+    #[inline]
+    fn miss(&mut self, io: u8, point: &IoPlace, cause: InputCause) {
+        let role = point.role;
+        if role.stops() {
+            let stop = IoStop { io, role, cause };
+            // An open emergency stop comes before all others: it lasts without power too.
+            if self
+                .stop
+                .is_none_or(|known| stop.is_interlock() && !known.is_interlock())
+            {
+                self.stop = Some(stop);
+            }
+        } else if role == IoRole::Hold {
+            self.hold.get_or_insert(io);
+        }
+    }
+}

@@ -1,0 +1,152 @@
+//! The named inputs and outputs: what the host may set, and what it is told.
+//!
+//! Invariant: an output is set only by a request that has been checked against its type and its terminal.
+
+use super::Coordinator;
+use crate::application::{IoRefusal, Refusal};
+use crate::board::Lamps;
+use crate::config::{Config, IO_MAX, IoDirection, IoPoint, IoRole};
+use crate::control::io::{IoPlace, IoReport};
+use crate::control::sampler::SamplerCommand;
+use crate::ethercat::slave_set::SlaveSet;
+use crate::messages::IoState;
+use heapless::Vec;
+
+/// Shortest time between two status messages because of inputs and outputs, ms.
+pub(super) const IO_STATUS_MS: u32 = 50;
+
+/// A point as far as requests need it.
+#[derive(Clone, Copy)]
+struct Point {
+    bits: u8,
+    is_output: bool,
+    role: IoRole,
+}
+
+/// The coordinator's record of the named inputs and outputs.
+pub(super) struct Io {
+    points: Vec<Point, IO_MAX>,
+    states: Vec<IoState, IO_MAX>,
+    /// Places of terminals whose failure is no fault.
+    spared: SlaveSet,
+    /// How often a state has changed, wrapping.
+    changes: u32,
+    /// Value of the lamps last passed on.
+    lamp: Option<bool>,
+}
+
+impl Io {
+    pub(super) const fn new() -> Self {
+        Self {
+            points: Vec::new(),
+            states: Vec::new(),
+            spared: SlaveSet::NONE,
+            changes: 0,
+            lamp: None,
+        }
+    }
+
+    fn configure(&mut self, config: &Config) {
+        let point = |point: &IoPoint| Point {
+            bits: point.kind.bits(),
+            is_output: point.direction == IoDirection::Out,
+            role: point.role,
+        };
+        self.points = config.io.iter().map(point).collect();
+        self.states = config.io.iter().map(|_| IoState::default()).collect();
+        let needed = config.io.iter().filter(|point| point.role.stops());
+        let needed = needed.map(|point| usize::from(point.slave)).collect();
+        self.spared = config.terminals().without(needed);
+        self.lamp = None;
+        self.changes = self.changes.wrapping_add(1);
+    }
+
+    /// Whether a slave is a terminal whose failure is no fault.
+    pub(super) const fn is_spared(&self, position: u8) -> bool {
+        self.spared.contains(position as usize)
+    }
+
+    /// Whether any terminal is missing whose failure is no fault.
+    fn is_missing(&self) -> bool {
+        self.states.iter().any(|state| !state.valid)
+    }
+
+    pub(super) const fn changes(&self) -> u32 {
+        self.changes
+    }
+
+    pub(super) fn states(&self) -> Vec<IoState, IO_MAX> {
+        self.states.clone()
+    }
+
+    /// Takes a millisecond's report.
+    pub(super) fn take(&mut self, report: &IoReport) {
+        for (io, (state, point)) in self.states.iter_mut().zip(&self.points).enumerate() {
+            let word = report.word.filter(|(number, _)| usize::from(*number) == io);
+            let raw = match (point.bits, word) {
+                (1, _) => u32::from(report.set >> io & 1),
+                (_, Some((_, raw))) => raw,
+                (_, None) => state.raw,
+            };
+            let valid = report.valid >> io & 1 != 0;
+            let now = IoState { raw, valid };
+            if now != *state {
+                *state = now;
+                self.changes = self.changes.wrapping_add(1);
+            }
+        }
+    }
+
+    /// Checks a request for an output.
+    pub(super) fn check(&self, io: u8, value: u32) -> Result<(), Refusal> {
+        let refused = |reason| Err(Refusal::Io { io, reason });
+        let (Some(point), Some(state)) = (self.points.get(usize::from(io)), self.states.get(usize::from(io))) else {
+            return refused(IoRefusal::Unknown);
+        };
+        if !point.is_output {
+            return refused(IoRefusal::IsInput);
+        }
+        if point.role == IoRole::Lamp {
+            return refused(IoRefusal::IsLamp);
+        }
+        if u64::from(value) >> point.bits != 0 {
+            return refused(IoRefusal::Range {
+                expected: point.bits,
+                actual: value,
+            });
+        }
+        if !state.valid {
+            return refused(IoRefusal::Missing);
+        }
+        Ok(())
+    }
+}
+
+impl Coordinator<'_> {
+    pub(super) fn configure_io(&mut self, config: &Config) {
+        self.io.configure(config);
+        self.tell_sampler(SamplerCommand::ConfigureIo(
+            config.io.iter().map(IoPlace::from).collect(),
+        ));
+    }
+
+    /// Passes the lamps' state on when it changes.
+    pub(super) fn show_mode(&mut self) {
+        let lit = Lamps::single(self.application.mode(), self.now_ms as u32);
+        if self.io.lamp == Some(lit) || self.ends.sampler_commands.len() > 0 {
+            return;
+        }
+        self.io.lamp = Some(lit);
+        for io in 0..self.io.points.len() {
+            if self.io.points.get(io).is_some_and(|point| point.role == IoRole::Lamp) {
+                let (io, value) = (io as u8, u32::from(lit));
+                self.tell_sampler(SamplerCommand::SetOutput { io, value });
+            }
+        }
+    }
+
+    /// Whether an acknowledgement without a fault has something to bring back: a terminal whose failure is no fault.
+    pub(super) fn brings_terminals_back(&self) -> bool {
+        self.application.fault().is_none() && self.config_hash.is_some() && self.io.is_missing()
+    }
+}

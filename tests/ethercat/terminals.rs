@@ -1,0 +1,279 @@
+//! Terminals beside the robot's drives: their own process data, their failures, and values named by objects.
+
+use crate::rig::{Rig, idle_rig_of};
+use etherpen::drives::cia402::{DriveState, DriveTarget};
+use etherpen::ethercat::configure::Direction;
+use etherpen::ethercat::cyclic::ExchangeKind;
+use etherpen::ethercat::event::WantedValue;
+use etherpen::ethercat::place::Place;
+use etherpen::ethercat::slave_set::SlaveSet;
+use etherpen::ethercat::supervisor::BusEvent;
+use etherpen::ethercat::wire::coe::Object;
+use etherpen::robots::AXES;
+use etherpen_segment::random::Random;
+use host_tools::cell::{AlState, CellOptions, Fault, SiiFault, SlaveKind, parse_slaves};
+
+/// Longest bring-up, ms.
+const BRING_UP_MS_MAX: u64 = 5_000;
+/// Cycles until a value has gone through the exchange.
+const THROUGH_MS: u32 = 3;
+
+fn rig_of(slaves: Vec<SlaveKind>, exchange: ExchangeKind) -> Rig<'static> {
+    let mut rig = idle_rig_of(CellOptions {
+        slaves,
+        ..CellOptions::default()
+    });
+    rig.setup.exchange = exchange;
+    rig.setup.terminals = SlaveSet::ALL;
+    rig
+}
+
+fn brought_up(list: &str, exchange: ExchangeKind) -> Rig<'static> {
+    let mut rig = rig_of(parse_slaves(list).unwrap(), exchange);
+    rig.start();
+    rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+    rig.run_ms(20);
+    rig
+}
+
+impl Rig<'_> {
+    /// The bits of a place in the inputs, in this cycle.
+    fn input_bits(&self, slave: usize, bit: u16, bits: u8) -> Option<u64> {
+        let exchange = self.group.exchange();
+        exchange.get(&exchange.bits::<u64>(slave, Direction::Inputs, bit, bits)?)
+    }
+
+    fn set_output_bits(&mut self, slave: usize, bit: u16, bits: u8, value: u64) -> bool {
+        let place: Option<Place<u64>> = self.group.exchange().bits(slave, Direction::Outputs, bit, bits);
+        place.is_some_and(|place| self.group.exchange_mut().set(&place, value))
+    }
+
+    fn al_state(&self, slave: usize) -> AlState {
+        self.cell.state().slaves[slave].al_state
+    }
+
+    /// One more millisecond in which no axis may miss its input.
+    fn undisturbed_ms(&mut self, what: &str) {
+        self.millisecond();
+        assert!(self.inputs.iter().all(Option::is_some), "{what}, at {} ms", self.now_ms);
+    }
+}
+
+#[test]
+fn terminals_of_any_chain_exchange_their_bits_beside_the_drives() {
+    const KINDS: [(SlaveKind, u8, u8); 5] = [
+        (SlaveKind::Ek1100, 0, 0),
+        (SlaveKind::El1004, 4, 0),
+        (SlaveKind::El1008, 8, 0),
+        (SlaveKind::El2004, 0, 4),
+        (SlaveKind::El2008, 0, 8),
+    ];
+    for seed in 0..12 {
+        let mut random = Random::new(seed);
+        let exchange = match seed % 2 {
+            0 => ExchangeKind::Split,
+            _ => ExchangeKind::Combined,
+        };
+        let mut chain: Vec<(SlaveKind, u8, u8)> = (0..1 + random.bits() % 11)
+            .map(|_| KINDS[(random.bits() % KINDS.len() as u64) as usize].clone())
+            .collect();
+        for _ in 0..AXES {
+            let at = random.bits() as usize % (chain.len() + 1);
+            chain.insert(at, (SlaveKind::Ax2000, 0, 0));
+        }
+        println!(
+            "seed {seed}: {:?}",
+            chain.iter().map(|(kind, ..)| kind).collect::<Vec<_>>()
+        );
+        let mut rig = rig_of(chain.iter().map(|(kind, ..)| kind.clone()).collect(), exchange);
+        rig.start();
+        let took_ms = rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+        rig.run_ms(20);
+        println!("OP after {took_ms} ms");
+        for slave in 0..chain.len() {
+            assert_eq!(rig.al_state(slave), AlState::Operational, "slave {slave}");
+        }
+        rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
+        let errors = rig.counters().working_counter_errors;
+        for _ in 0..20 {
+            let values: Vec<u64> = chain.iter().map(|_| random.bits() & 0xFF).collect();
+            for (slave, (_, inputs, outputs)) in chain.iter().enumerate() {
+                rig.cell.set_inputs(slave + 1, &[values[slave] as u8]);
+                let taken = *outputs > 0 && rig.set_output_bits(slave, 0, *outputs, values[slave]);
+                assert_eq!(taken, *outputs > 0, "slave {slave}");
+                let is_drive = chain[slave].0 == SlaveKind::Ax2000;
+                assert_eq!(
+                    rig.input_bits(slave, 0, 1).is_some(),
+                    *inputs > 0 || is_drive,
+                    "slave {slave}"
+                );
+            }
+            for _ in 0..THROUGH_MS {
+                rig.undisturbed_ms("an exchange");
+            }
+            for (slave, (_, inputs, outputs)) in chain.iter().enumerate() {
+                let mask = (1 << (inputs + outputs)) - 1;
+                if *inputs > 0 {
+                    let read = rig.input_bits(slave, 0, *inputs);
+                    assert_eq!(read, Some(values[slave] & mask), "inputs of slave {slave}");
+                }
+                if *outputs > 0 {
+                    let act = rig.cell.outputs(slave + 1);
+                    assert_eq!(
+                        act,
+                        Some(vec![(values[slave] & mask) as u8]),
+                        "outputs of slave {slave}"
+                    );
+                }
+            }
+        }
+        assert_eq!(rig.counters().working_counter_errors, errors);
+    }
+}
+
+#[test]
+fn a_terminal_that_fails_disturbs_no_drive_and_comes_back_on_command() {
+    // The terminals lie behind the drives, so that the drives stay connected.
+    for exchange in [ExchangeKind::Split, ExchangeKind::Combined] {
+        for fault in [
+            Fault::Power(6, 300),
+            Fault::Remove(7),
+            Fault::Power(7, 3_000),
+            Fault::Remove(6),
+        ] {
+            let mut rig = brought_up("ax2000*4,ek1100,el1008,el2004", exchange);
+            rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
+            let (Fault::Power(slave, _) | Fault::Remove(slave)) = fault else {
+                unreachable!()
+            };
+            let what = format!("{fault:?}, {exchange:?}");
+            rig.cell.inject(fault);
+            let mut lost_ms = None;
+            for ms in 0..500 {
+                let events = rig.millisecond().to_vec();
+                assert!(
+                    ms < 4 || rig.inputs.iter().all(Option::is_some),
+                    "{what}: a drive at {ms} ms"
+                );
+                let lost = |event: &BusEvent| {
+                    matches!(event, BusEvent::SlaveLost { position } | BusEvent::SlaveLeft { position, .. }
+                        if usize::from(*position) + 1 >= slave)
+                };
+                if events.iter().any(lost) {
+                    lost_ms = lost_ms.or(Some(ms));
+                }
+            }
+            assert!(lost_ms.is_some_and(|ms| ms <= 100), "{what}: {lost_ms:?}");
+            assert_eq!(rig.drive_states(), [Some(DriveState::OperationEnabled); AXES], "{what}");
+            assert!(!rig.set_output_bits(6, 0, 4, 1) || slave != 7 || rig.input_bits(5, 0, 8).is_some());
+            rig.run_ms(3_000);
+            rig.cell.inject(Fault::Insert(slave));
+            rig.run_ms(200);
+            rig.recover();
+            rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+            rig.run_ms(20);
+            rig.cell.set_inputs(6, &[0xA5]);
+            assert!(rig.set_output_bits(6, 0, 4, 0x9), "{what}");
+            rig.run_ms(THROUGH_MS);
+            assert_eq!(rig.input_bits(5, 0, 8), Some(0xA5), "{what}: {:#?}", rig.log);
+            assert_eq!(rig.cell.outputs(7), Some(vec![0x9]), "{what}");
+            assert_eq!(rig.drive_states(), [Some(DriveState::OperationEnabled); AXES], "{what}");
+        }
+    }
+}
+
+#[test]
+fn a_terminal_that_cannot_be_read_is_refused_and_the_drives_operate() {
+    for fault in [SiiFault::Busy, SiiFault::Acknowledge, SiiFault::Damaged] {
+        let mut rig = rig_of(
+            parse_slaves("ek1100,el1008,ax2000*4,el2004").unwrap(),
+            ExchangeKind::Split,
+        );
+        rig.cell.inject(Fault::Sii(2, fault));
+        rig.start();
+        rig.wait_for(3 * BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+        rig.run_ms(20);
+        println!(
+            "{fault:?}: {:?}",
+            rig.log
+                .iter()
+                .filter(|event| matches!(event, BusEvent::TerminalRefused { .. }))
+                .collect::<Vec<_>>()
+        );
+        rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
+        assert!(rig.set_output_bits(6, 0, 4, 0x6), "{fault:?}");
+        rig.run_ms(THROUGH_MS);
+        assert_eq!(rig.cell.outputs(7), Some(vec![0x6]), "{fault:?}");
+        rig.cell.inject(Fault::Sii(2, SiiFault::Whole));
+        if fault == SiiFault::Damaged {
+            // What a bring-up has read is not read again before the next one.
+            continue;
+        }
+        rig.run_ms(10);
+        if rig.input_bits(1, 0, 8).is_none() {
+            rig.recover();
+            rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+            rig.run_ms(20);
+        }
+        rig.cell.set_inputs(2, &[0x3C]);
+        rig.run_ms(THROUGH_MS);
+        assert_eq!(rig.input_bits(1, 0, 8), Some(0x3C), "{fault:?}: {:#?}", rig.log);
+    }
+}
+
+#[test]
+fn outputs_become_0_when_the_bus_is_stopped_and_values_are_found_by_their_objects() {
+    let mut rig = rig_of(
+        parse_slaves("ek1100,el1008,el2004,ax2000*4").unwrap(),
+        ExchangeKind::Split,
+    );
+    let wanted = |slave, direction, index, bits| WantedValue {
+        slave,
+        direction,
+        object: Object::new(index, 1),
+        bits,
+    };
+    let asked = [
+        wanted(1, Direction::Inputs, 0x6000, 1),
+        wanted(1, Direction::Inputs, 0x6070, 1),
+        wanted(2, Direction::Outputs, 0x7020, 1),
+        wanted(2, Direction::Outputs, 0x7080, 1),
+        wanted(2, Direction::Outputs, 0x7000, 8),
+        wanted(3, Direction::Inputs, 0x6041, 16),
+    ];
+    rig.setup.values.extend(asked);
+    rig.start();
+    rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+    rig.run_ms(20);
+    let found: Vec<bool> = (0..7)
+        .map(|number| rig.group.exchange().value::<u64>(number).is_some())
+        .collect();
+    assert_eq!(found, [true, true, true, false, false, false, false]);
+    for inputs in [0x00, 0x01, 0x80, 0x7E, 0x81] {
+        rig.cell.set_inputs(2, &[inputs]);
+        rig.run_ms(THROUGH_MS);
+        let exchange = rig.group.exchange();
+        let read = |number| exchange.get(&exchange.value::<bool>(number).unwrap());
+        assert_eq!((read(0), read(1)), (Some(inputs & 1 != 0), Some(inputs & 0x80 != 0)));
+    }
+    let place = rig.group.exchange().value::<bool>(2).unwrap();
+    assert!(rig.group.exchange_mut().set(&place, true));
+    rig.run_ms(THROUGH_MS);
+    assert_eq!(rig.cell.outputs(3), Some(vec![0x04]));
+    assert!(
+        rig.commands
+            .enqueue(etherpen::ethercat::supervisor::BusCommand::Stop)
+            .is_ok()
+    );
+    let mut last = None;
+    rig.wait_for(2_000, |event| *event == BusEvent::Stopped);
+    for _ in 0..10 {
+        rig.millisecond();
+        last = rig.cell.outputs(3);
+    }
+    assert_eq!(last, Some(vec![0]));
+    assert!(
+        !rig.group.exchange_mut().set(&place, true),
+        "the place is of another plan"
+    );
+}

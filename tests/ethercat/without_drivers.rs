@@ -1,0 +1,306 @@
+//! The master alone: slaves of any kind by their own process data, at cycle times from 0.25 to 10 ms.
+
+use core::future::Future;
+use core::pin::Pin;
+use core::task::{Context, Waker};
+use etherpen::ethercat::BusQueues;
+use etherpen::ethercat::configure::{Direction, Entry};
+use etherpen::ethercat::cyclic::{Exchange, ExchangeKind};
+use etherpen::ethercat::error::BusError;
+use etherpen::ethercat::event::{BusCommand, BusSetup, ChosenEntry, WantedValue};
+use etherpen::ethercat::no_drivers::NoDrivers;
+use etherpen::ethercat::slave_set::SlaveSet;
+use etherpen::ethercat::supervisor::{BusEvent, Supervisor};
+use etherpen::ethercat::wire::coe::Object;
+use etherpen_segment::random::Random;
+use etherpen_segment::{AlState, Fault, Flywheel, Segment, SegmentOptions, SlaveKind};
+use heapless::spsc::{Consumer, Producer};
+
+const MAC: [u8; 6] = [0x10, 0, 0, 0, 0, 1];
+/// Longest bring-up, ms: waits of the master take cycles.
+const BRING_UP_MS_MAX: u64 = 20_000;
+/// Cycles until a value has gone through the exchange in either direction.
+const THROUGH: u32 = 3;
+
+type Queues = BusQueues<NoDrivers, 16, 1024>;
+
+/// A master without drivers, a chain and a clock.
+struct Bench {
+    segment: Segment<Flywheel>,
+    exchange: Exchange<'static, NoDrivers, 16, 1024>,
+    supervisor: Pin<Box<dyn Future<Output = ()>>>,
+    commands: Producer<'static, BusCommand<NoDrivers>>,
+    events: Consumer<'static, BusEvent>,
+    log: Vec<BusEvent>,
+    cycle_us: u64,
+    now_us: u64,
+    polled_ms: u64,
+}
+
+impl Bench {
+    fn new(slaves: &[SlaveKind], cycle_us: u64, exchange: ExchangeKind, values: &[WantedValue]) -> Self {
+        Self::chosen(slaves, cycle_us, exchange, values, &[])
+    }
+
+    fn chosen(
+        slaves: &[SlaveKind],
+        cycle_us: u64,
+        exchange: ExchangeKind,
+        values: &[WantedValue],
+        chosen: &[ChosenEntry],
+    ) -> Self {
+        let queues = Box::leak(Box::new(Queues::new()));
+        let (exchange_end, supervisor_end, mut application) = queues.split();
+        let mut setup: BusSetup<NoDrivers> = BusSetup {
+            terminals: SlaveSet::ALL,
+            exchange,
+            cycle_ns: cycle_us as u32 * 1_000,
+            watchdog_ms: 100,
+            ..BusSetup::default()
+        };
+        setup.values.extend(values.iter().copied());
+        setup.chosen.extend(chosen.iter().copied());
+        assert!(application.commands.enqueue(BusCommand::Start(setup)).is_ok());
+        let options = SegmentOptions {
+            slaves: slaves.to_vec(),
+            ..SegmentOptions::default()
+        };
+        Self {
+            segment: Segment::new(&options, Flywheel::default()),
+            exchange: Exchange::new(exchange_end, MAC),
+            supervisor: Box::pin(async move {
+                let mut supervisor = Supervisor::new(supervisor_end);
+                supervisor.run().await
+            }),
+            commands: application.commands,
+            events: application.events,
+            log: Vec::new(),
+            cycle_us,
+            now_us: 0,
+            polled_ms: 0,
+        }
+    }
+
+    fn cycle(&mut self) {
+        let frame = self.exchange.input_telegram().to_vec();
+        for reply in self.segment.frame(self.now_us, &frame) {
+            self.exchange.receive(&reply);
+        }
+        let frame = self.exchange.output_telegram().to_vec();
+        if !frame.is_empty() {
+            for reply in self.segment.frame(self.now_us + self.cycle_us / 4, &frame) {
+                self.exchange.receive(&reply);
+            }
+        }
+        self.now_us += self.cycle_us;
+        // The supervisor counts its polls as milliseconds.
+        while self.polled_ms * 1_000 < self.now_us {
+            self.polled_ms += 1;
+            let poll = self.supervisor.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+            assert!(poll.is_pending());
+            while let Some(event) = self.events.dequeue() {
+                self.log.push(event);
+            }
+        }
+    }
+
+    fn run(&mut self, cycles: u32) {
+        for _ in 0..cycles {
+            self.cycle();
+        }
+    }
+
+    fn run_ms(&mut self, ms: u64) {
+        let end_us = self.now_us + ms * 1_000;
+        while self.now_us < end_us {
+            self.cycle();
+        }
+    }
+
+    fn operational(&mut self) -> u64 {
+        let (from, began_us) = (self.log.len(), self.now_us);
+        while !self.log[from..].contains(&BusEvent::Operational) {
+            assert!(self.now_us - began_us < BRING_UP_MS_MAX * 1_000, "{:#?}", self.log);
+            self.cycle();
+        }
+        let took_ms = (self.now_us - began_us) / 1_000;
+        self.run_ms(20);
+        took_ms
+    }
+
+    fn bits(&self, slave: usize, direction: Direction, bits: u8) -> Option<u64> {
+        self.exchange
+            .get(&self.exchange.bits::<u64>(slave, direction, 0, bits)?)
+    }
+
+    fn set_bits(&mut self, slave: usize, bits: u8, value: u64) -> bool {
+        let place = self.exchange.bits::<u64>(slave, Direction::Outputs, 0, bits);
+        place.is_some_and(|place| self.exchange.set(&place, value))
+    }
+}
+
+fn word(slave: u8, direction: Direction, index: u16, bits: u8) -> WantedValue {
+    WantedValue {
+        slave,
+        direction,
+        object: Object::new(index, 0),
+        bits,
+    }
+}
+
+#[test]
+fn drives_are_exchanged_by_the_objects_that_they_list_and_terminals_by_their_memory() {
+    use SlaveKind::{Ax2000, Cia402, Ek1100, El1008, El2004};
+    let chain = [Ek1100, Ax2000, El1008, Cia402, El2004, Ax2000];
+    let values = [
+        word(1, Direction::Inputs, 0x6041, 16),
+        word(1, Direction::Outputs, 0x6040, 16),
+        word(3, Direction::Inputs, 0x6041, 16),
+        word(3, Direction::Outputs, 0x6040, 16),
+        word(3, Direction::Inputs, 0x6064, 32),
+        word(5, Direction::Inputs, 0x6041, 16),
+    ];
+    for kind in [ExchangeKind::Split, ExchangeKind::Combined] {
+        let mut bench = Bench::new(&chain, 1_000, kind, &values);
+        let took_ms = bench.operational();
+        println!("{kind:?}: OP after {took_ms} ms");
+        for (slave, state) in bench.segment.slaves().iter().enumerate() {
+            assert_eq!(state.al_state, AlState::Operational, "slave {slave}: {:#?}", bench.log);
+        }
+        let word = |bench: &Bench, number: usize| -> u16 {
+            let place = bench.exchange.value::<u16>(number).expect("a place");
+            bench.exchange.get(&place).expect("a value")
+        };
+        let control = |bench: &mut Bench, number: usize, value: u16| {
+            let place = bench.exchange.value::<u16>(number).expect("a place");
+            assert!(bench.exchange.set(&place, value));
+        };
+        assert!(
+            bench.exchange.value::<i32>(4).is_some(),
+            "the position of the CiA 402 drive"
+        );
+        for (status, command) in [(0, 1), (2, 3)] {
+            assert_eq!(word(&bench, status) & 0x6F, 0x40, "switch-on disabled");
+            control(&mut bench, command, 0x0006);
+            bench.run_ms(50);
+            assert_eq!(word(&bench, status) & 0x6F, 0x21, "ready to switch on");
+            control(&mut bench, command, 0x0000);
+            bench.run_ms(50);
+            assert_eq!(word(&bench, status) & 0x6F, 0x40, "switch-on disabled again");
+        }
+        assert_eq!(word(&bench, 5) & 0x6F, 0x40, "the other drive was not told");
+    }
+}
+
+#[test]
+fn any_cycle_time_from_250_us_to_10_ms_brings_a_chain_up_exchanges_and_repairs_it() {
+    for seed in 0..12_u64 {
+        let mut random = Random::new(seed);
+        let cycle_us = [250, 500, 1_000, 2_000, 4_000, 10_000][(seed % 6) as usize];
+        let kind = match random.bits() % 2 {
+            0 => ExchangeKind::Split,
+            _ => ExchangeKind::Combined,
+        };
+        const KINDS: [(SlaveKind, u8, u8); 6] = [
+            (SlaveKind::Ek1100, 0, 0),
+            (SlaveKind::El1004, 4, 0),
+            (SlaveKind::El1008, 8, 0),
+            (SlaveKind::El2004, 0, 4),
+            (SlaveKind::El2008, 0, 8),
+            (SlaveKind::Ax2000, 0, 0),
+        ];
+        let mut chain: Vec<(SlaveKind, u8, u8)> = vec![KINDS[0].clone()];
+        chain.extend((0..1 + random.bits() % 14).map(|_| KINDS[(random.bits() % 6) as usize].clone()));
+        chain.push(KINDS[4].clone());
+        let kinds: Vec<SlaveKind> = chain.iter().map(|(kind, ..)| kind.clone()).collect();
+        let mut bench = Bench::new(&kinds, cycle_us, kind, &[]);
+        let took_ms = bench.operational();
+        println!(
+            "seed {seed}, {cycle_us} us, {kind:?}, {} slaves: OP after {took_ms} ms",
+            chain.len()
+        );
+        let last = chain.len() - 1;
+        bench.segment.inject(Fault::Power(last + 1, 200));
+        bench.run_ms(1_000);
+        let lost = BusEvent::SlaveLost { position: last as u8 };
+        assert!(bench.log.contains(&lost), "{:#?}", bench.log);
+        assert!(bench.commands.enqueue(BusCommand::Recover).is_ok());
+        bench.operational();
+        let errors = bench.exchange.counters().working_counter_errors;
+        for _ in 0..10 {
+            let values: Vec<u64> = chain.iter().map(|_| random.bits() & 0xFF).collect();
+            for (slave, (_, _, outputs)) in chain.iter().enumerate() {
+                bench.segment.set_inputs(slave + 1, &[values[slave] as u8]);
+                let is_set = *outputs > 0 && bench.set_bits(slave, *outputs, values[slave]);
+                assert_eq!(is_set, *outputs > 0, "slave {slave}: {:#?}", bench.log);
+            }
+            bench.run(THROUGH);
+            for (slave, (_, inputs, outputs)) in chain.iter().enumerate() {
+                let mask = (1_u64 << (inputs + outputs)) - 1;
+                if *inputs > 0 {
+                    let read = bench.bits(slave, Direction::Inputs, *inputs);
+                    assert_eq!(read, Some(values[slave] & mask), "slave {slave}");
+                } else if *outputs > 0 {
+                    let act = bench.segment.outputs(slave + 1);
+                    assert_eq!(act, Some(vec![(values[slave] & mask) as u8]), "slave {slave}");
+                }
+            }
+        }
+        assert_eq!(bench.exchange.counters().working_counter_errors, errors, "seed {seed}");
+    }
+}
+
+#[test]
+fn chosen_process_data_are_assigned_mapped_and_found_where_they_lie() {
+    let entry = |index, bits| Entry::new(Object::new(index, 0), bits);
+    let chosen = |manager, pdo, entry| ChosenEntry {
+        slave: 1,
+        manager,
+        pdo,
+        entry: Some(entry),
+    };
+    let values = [
+        word(1, Direction::Inputs, 0x6064, 32),
+        word(1, Direction::Inputs, 0x6041, 16),
+        word(1, Direction::Outputs, 0x6040, 16),
+        word(1, Direction::Outputs, 0x60FF, 32),
+    ];
+    let choice = [
+        chosen(3, 0x1A00, entry(0x6064, 32)),
+        chosen(3, 0x1A00, entry(0x6041, 16)),
+        chosen(2, 0x1600, entry(0x60FF, 32)),
+        chosen(2, 0x1600, entry(0x6040, 16)),
+    ];
+    let chain = [SlaveKind::Ek1100, SlaveKind::Cia402, SlaveKind::El2004];
+    let mut bench = Bench::chosen(&chain, 1_000, ExchangeKind::Split, &values, &choice);
+    bench.operational();
+    let plan = bench.exchange.plan();
+    let bits: Vec<u16> = plan.values.iter().flatten().map(|found| found.bit).collect();
+    assert_eq!(
+        bits,
+        [0, 32, 32, 0],
+        "the entries lie in the order that was chosen: {:#?}",
+        bench.log
+    );
+    let share = &plan.slaves[1];
+    assert_eq!((share.input_length, share.output_length), (6, 6));
+    let (status, command) = (bench.exchange.value::<u16>(1), bench.exchange.value::<u16>(2));
+    let (status, command) = (status.expect("a place"), command.expect("a place"));
+    for (control, expected) in [(0x0006, 0x21), (0x0007, 0x23), (0x0000, 0x40)] {
+        assert!(bench.exchange.set(&command, control));
+        bench.run_ms(50);
+        assert_eq!(bench.exchange.get(&status).map(|word| word & 0x6F), Some(expected));
+    }
+    // What the slave cannot map is refused with its object, and the others operate.
+    let odd = [chosen(3, 0x1A00, entry(0x2FFF, 32))];
+    let mut bench = Bench::chosen(&chain, 1_000, ExchangeKind::Split, &values, &odd);
+    bench.operational();
+    let refused = |event: &BusEvent| {
+        matches!(event, BusEvent::TerminalRefused { position: 1, error: BusError::SdoAbort { object, .. }, .. }
+            if object.index == 0x1A00)
+    };
+    assert!(bench.log.iter().any(refused), "{:#?}", bench.log);
+    assert!(bench.set_bits(2, 4, 0x5));
+    bench.run(THROUGH);
+    assert_eq!(bench.segment.outputs(3), Some(vec![0x5]));
+}
