@@ -206,7 +206,7 @@ mod tests {
             let refused = failure(&mut shell(&format!("exit {code}")));
             assert!(refused.contains("cannot be started"), "{refused}");
         }
-        for (name, number) in [("KILL", 9), ("TERM", 15), ("HUP", 1)] {
+        for (name, number) in [("KILL", 9), ("TERM", 15), ("USR1", 10)] {
             let killed = failure(&mut shell(&format!("kill -{name} $$")));
             assert!(killed.contains(&format!("from outside, signal {number}")), "{killed}");
         }
