@@ -19,7 +19,7 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 /// Version of this protocol; both ends must agree.
-pub const PROTOCOL_VERSION: u16 = 9;
+pub const PROTOCOL_VERSION: u16 = 10;
 /// Slaves described in a status.
 pub const SLAVES_REPORTED: usize = 8;
 

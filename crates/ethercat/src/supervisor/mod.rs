@@ -15,6 +15,7 @@
 mod bring_up;
 mod bus;
 mod diagnosis;
+mod files;
 mod inbox;
 mod objects;
 mod repair;
