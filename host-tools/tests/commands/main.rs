@@ -30,6 +30,7 @@ mod recording;
 #[cfg(target_os = "linux")]
 mod restarted;
 mod segment;
+mod segment_docs;
 #[cfg(target_os = "linux")]
 mod sessions;
 mod unreferenced;
