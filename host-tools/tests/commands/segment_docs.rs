@@ -20,7 +20,11 @@ fn run_script(folder: &Folder, script: &str) -> (bool, String) {
     let path = std::env::var("PATH").unwrap_or_default();
     let mut command = Command::new("bash");
     command
-        .args(["-e", "-c", script])
+        .args([
+            "-e",
+            "-c",
+            &format!("trap 'kill $(jobs -p) 2>/dev/null || true' EXIT\n{script}"),
+        ])
         .current_dir(program.get_current_dir().expect("the test's folder"))
         .env("PATH", format!("{}:{path}", programs.display()));
     let Output { status, stdout, stderr } = command.output().expect("bash");
