@@ -121,6 +121,47 @@ pub enum ServiceRequest {
     },
     /// Reset the error counters of all slaves; answered by [`ServiceReply::Done`].
     ClearErrors,
+    /// Open a file of a slave (FoE); answered by [`ServiceReply::Done`]. One file is open at a time.
+    OpenFile {
+        /// The slave.
+        slave: u8,
+        /// The file.
+        file: FileRequest,
+    },
+    /// Read the next piece of the open file; answered by [`ServiceReply::FilePiece`].
+    ReadFile {
+        /// The slave.
+        slave: u8,
+    },
+    /// Write the next piece of the open file; answered by [`ServiceReply::Done`].
+    WriteFile {
+        /// The slave.
+        slave: u8,
+        /// The piece; may be empty.
+        piece: Piece,
+        /// Whether this is the last piece.
+        last: bool,
+    },
+    /// Close the open file, completed or not; answered by [`ServiceReply::Done`]. A slave in BOOT goes to INIT.
+    CloseFile {
+        /// The slave.
+        slave: u8,
+    },
+}
+
+/// A file of a slave, and how it is opened.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+#[cfg_attr(feature = "serde", derive(serde::Serialize, serde::Deserialize))]
+pub struct FileRequest {
+    /// Name of the file.
+    pub name: Name,
+    /// Password; 0 for none.
+    pub password: u32,
+    /// Whether the file is written; otherwise it is read.
+    pub writes: bool,
+    /// Whether the slave is brought to BOOT first, through INIT. Otherwise its mailbox is used as it is, and a slave in
+    /// INIT is brought to PREOP.
+    pub bootstrap: bool,
 }
 
 impl ServiceRequest {
@@ -137,13 +178,26 @@ impl ServiceRequest {
             | Self::DescribeEntry { slave, .. }
             | Self::Registers { slave, .. }
             | Self::Information { slave, .. }
+            | Self::OpenFile { slave, .. }
+            | Self::ReadFile { slave }
+            | Self::WriteFile { slave, .. }
+            | Self::CloseFile { slave }
             | Self::Errors { slave } => Some(slave),
         }
     }
 
     /// Whether the request changes anything on a slave.
     pub const fn changes(&self) -> bool {
-        matches!(self, Self::SetState { .. } | Self::Download { .. } | Self::ClearErrors)
+        let writes = matches!(self, Self::SetState { .. } | Self::Download { .. } | Self::ClearErrors);
+        writes || self.is_about_files()
+    }
+
+    /// Whether the request belongs to a file transfer.
+    pub const fn is_about_files(&self) -> bool {
+        matches!(
+            self,
+            Self::OpenFile { .. } | Self::ReadFile { .. } | Self::WriteFile { .. } | Self::CloseFile { .. }
+        )
     }
 }
 
@@ -310,6 +364,13 @@ pub enum ServiceReply {
     Entry(EntryInfo),
     /// Answer to [`ServiceRequest::Errors`].
     Errors(SlaveErrors),
+    /// Answer to [`ServiceRequest::ReadFile`].
+    FilePiece {
+        /// The piece; may be empty.
+        piece: Piece,
+        /// Whether the file ends behind it.
+        last: bool,
+    },
 }
 
 /// Why a request was not carried out.
@@ -323,6 +384,8 @@ pub enum ServiceError {
     },
     /// The slave has no mailbox, or does not support CoE.
     NoCoe,
+    /// The slave has no mailbox, or does not support FoE.
+    NoFoe,
     /// The application does not allow the request at present; the number is its reason.
     NotAllowed(u8),
     /// Another request is in progress, or the bus is being brought up or repaired.

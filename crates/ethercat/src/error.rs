@@ -135,6 +135,25 @@ pub enum BusError {
         /// Bytes found.
         actual: u32,
     },
+    /// The slave ended a file transfer.
+    FileError {
+        /// The error code, see [`error_text`](super::wire::foe::error_text).
+        code: u32,
+    },
+    /// A packet of a file has a wrong number.
+    FilePacket {
+        /// Number expected.
+        expected: u32,
+        /// Number found.
+        actual: u32,
+    },
+    /// The slave's answer does not belong to a file transfer.
+    FileAnswer,
+    /// The slave was not ready for the next packet of a file.
+    FileBusy {
+        /// Time waited, ms.
+        waited_ms: u32,
+    },
     /// An object reads back differently after it was written.
     ReadBack {
         /// The object.
@@ -243,7 +262,7 @@ impl BusError {
     /// The slave's own code of the error: AL status code or SDO abort code; 0 if there is none.
     pub const fn code(&self) -> u32 {
         match self {
-            Self::SdoAbort { code, .. } => *code,
+            Self::SdoAbort { code, .. } | Self::FileError { code } => *code,
             Self::State { code, .. } => *code as u32,
             Self::Mailbox { detail } => *detail as u32,
             Self::Sii { status } => *status as u32,

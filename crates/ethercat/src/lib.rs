@@ -9,7 +9,7 @@
 //! 2. `error`, `frame_port`: errors of the master; the seam to an Ethernet MAC
 //! 3. `acyclic`, `observation`: datagrams outside the cycle; what a cycle has observed
 //! 4. `mailbox`, `state`: mailboxes; states of slaves
-//! 5. `coe`, `diagnostics`: objects; requests of an application
+//! 5. `coe`, `foe`, `diagnostics`: objects; files; requests of an application
 //! 6. `configure`, `topology`: discovery of slaves and their objects; how slaves are connected
 //! 7. `driver`: the seam to kinds of slaves
 //! 8. `no_drivers`, `plan`, `slave`, `encapsulation`: an application without drivers; contents of a cycle; what is known
@@ -40,6 +40,7 @@ pub mod error;
 pub mod event;
 #[cfg(test)]
 mod exchange_tests;
+pub mod foe;
 pub mod frame_port;
 pub mod mailbox;
 pub mod no_drivers;

@@ -106,6 +106,11 @@ impl Mailbox {
         usize::from(self.out.length).saturating_sub(MAILBOX_HEADER_LEN)
     }
 
+    /// Length of the mailbox that the slave writes, bytes.
+    pub const fn input_length(&self) -> u16 {
+        self.input.length
+    }
+
     /// The oldest emergency that was not taken yet; each is returned once.
     pub fn take_emergency(&mut self) -> Option<Emergency> {
         self.emergencies.pop()

@@ -6,6 +6,7 @@
 pub(crate) mod access;
 pub(crate) mod connection;
 pub(crate) mod counters;
+pub(crate) mod files;
 pub(crate) mod objects;
 pub(crate) mod registers;
 pub(crate) mod slaves;

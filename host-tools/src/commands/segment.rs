@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
 use std::sync::atomic::Ordering;
 use std::time::Instant;
 
-/// Time in which the segment stood still after which the operator is told again, ms.
+/// Time in which the segment stood still after which the operator is told first, ms; then at its double.
 const PAUSE_TOLD_MS: u64 = 100;
 
 /// Options of `etherpen segment`.
@@ -118,14 +118,14 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     );
     let mut served = ServedSegment::new(cell, slaves, port, capture);
     let begun = Instant::now();
-    let mut told_ms = 0;
+    let mut tell_ms = PAUSE_TOLD_MS;
     while !ended.load(Ordering::Relaxed) && !control.has_ended() {
         served.step(&mut || eprintln!("the first frame has come"))?;
         served.obey(&mut control)?;
         let paused_ms = served.paused_ms();
-        if paused_ms >= told_ms + PAUSE_TOLD_MS {
+        if paused_ms >= tell_ms {
             eprintln!("this program did not run: the segment stood still, {paused_ms} ms so far");
-            told_ms = paused_ms;
+            tell_ms = 2 * paused_ms;
         }
     }
     drop(control);

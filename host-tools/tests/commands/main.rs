@@ -15,6 +15,7 @@ mod drawing;
 #[cfg(target_os = "linux")]
 mod emulator;
 mod ethercrab;
+mod files;
 mod followed;
 mod installed;
 mod io;
@@ -30,6 +31,7 @@ mod recording;
 #[cfg(target_os = "linux")]
 mod restarted;
 mod segment;
+mod segment_docs;
 #[cfg(target_os = "linux")]
 mod sessions;
 mod unreferenced;

@@ -71,7 +71,7 @@ impl Segment {
 }
 
 /// Sends a command to a control socket; the exit code and the answer.
-fn tell(folder: &Folder, socket: &Path, command: &str) -> (Option<i32>, serde_json::Value, String) {
+pub(crate) fn tell(folder: &Folder, socket: &Path, command: &str) -> (Option<i32>, serde_json::Value, String) {
     let mut program = etherpen(folder);
     program
         .args(["segment", "--json", "--tell"])

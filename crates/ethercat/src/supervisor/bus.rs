@@ -13,6 +13,7 @@ use super::super::process_data;
 use super::super::slave::{Condition, Slave};
 use super::super::state::{AlReport, AlState};
 use super::super::wire::{Address, Command, register};
+use super::files::OpenFile;
 use super::inbox::{Expectation, STATUS_MASK};
 use super::{Failure, LookList};
 use core::ops::Range;
@@ -46,6 +47,8 @@ pub(super) struct Bus<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     pub(super) events_dropped: u32,
     /// A long value between two pieces of its transfer.
     pub(super) value: Vec<u8, MESSAGE>,
+    /// The file that is open.
+    pub(super) file: Option<OpenFile>,
 }
 
 impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, SLAVES, MESSAGE> {
@@ -69,6 +72,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             cable_next: 0,
             events_dropped: 0,
             value: Vec::new(),
+            file: None,
         }
     }
 

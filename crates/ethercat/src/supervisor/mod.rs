@@ -16,6 +16,7 @@ mod bring_up;
 mod bus;
 mod diagnosis;
 mod identity;
+mod files;
 mod inbox;
 mod objects;
 mod repair;

@@ -41,7 +41,28 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             }
             slave => STATION_BASE.wrapping_add(slave.unwrap_or(0).into()),
         };
+        let uses_buffer = matches!(
+            request,
+            ServiceRequest::Upload { .. } | ServiceRequest::Download { .. } | ServiceRequest::SetState { .. }
+        );
+        if uses_buffer {
+            self.close_file().await?;
+        }
         match request {
+            ServiceRequest::OpenFile { file, .. } => {
+                let opened = self.open_file(number, file).await;
+                if opened.is_err() {
+                    // The reason is returned whether or not the slave could be brought back.
+                    let _ = self.close_file().await;
+                }
+                opened
+            }
+            ServiceRequest::ReadFile { .. } => self.read_file(number).await,
+            ServiceRequest::WriteFile { piece, last, .. } => self.write_file(number, piece, *last).await,
+            ServiceRequest::CloseFile { .. } => {
+                self.close_file().await?;
+                Ok(ServiceReply::Done)
+            }
             ServiceRequest::Bus => Ok(ServiceReply::Bus(self.bus_info(seen, running))),
             ServiceRequest::Slave { .. } => Ok(ServiceReply::Slave(self.slave_info(number).await?)),
             ServiceRequest::SetState { state, .. } => Ok(ServiceReply::State(self.set_state(number, *state).await?)),

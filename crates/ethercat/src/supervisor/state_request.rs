@@ -155,6 +155,14 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         if slave.fixed.protocols & PROTOCOL_COE == 0 || slave.fixed.mailbox_out.length == 0 {
             return Err(ServiceError::NoCoe);
         }
+        self.ready_or_reach_pre_operational(number).await
+    }
+
+    /// Makes a slave's mailbox usable: a slave in INIT is brought to PREOP.
+    pub(super) async fn ready_or_reach_pre_operational(&mut self, number: usize) -> Result<(), ServiceError> {
+        let Some(slave) = self.slaves.get(number).copied() else {
+            return Err(ServiceError::Interrupted);
+        };
         let report = state::report(&mut self.port, slave.station()).await?;
         if report.state() == Some(AlState::Init) {
             self.work_on(Some(number)).await;

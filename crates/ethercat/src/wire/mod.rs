@@ -8,6 +8,7 @@
 
 pub mod coe;
 mod datagram;
+pub mod foe;
 mod frame;
 pub mod mailbox;
 pub mod register;

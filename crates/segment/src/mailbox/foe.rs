@@ -108,15 +108,21 @@ impl FileServer {
         }
     }
 
-    /// Answers one message; `capacity` is the length of the mailbox for the answers, `in_bootstrap` tells the state.
-    pub(crate) fn receive(&mut self, message: &[u8], capacity: usize, in_bootstrap: bool) -> Option<Vec<u8>> {
+    /// Answers one message; `capacities` are the lengths of the mailboxes for messages and for answers, `in_bootstrap`
+    /// tells the state.
+    pub(crate) fn receive(
+        &mut self,
+        message: &[u8],
+        capacities: (usize, usize),
+        in_bootstrap: bool,
+    ) -> Option<Vec<u8>> {
         if self.silent > 0 {
             self.silent -= 1;
             return None;
         }
         let answer = match self.error.take() {
             Some(code) => Err(code),
-            None => self.carry_out(message, capacity, in_bootstrap),
+            None => self.carry_out(message, capacities, in_bootstrap),
         };
         match answer {
             Ok(Some(mut answer)) => {
@@ -135,12 +141,18 @@ impl FileServer {
         }
     }
 
-    fn carry_out(&mut self, message: &[u8], capacity: usize, in_bootstrap: bool) -> Result<Option<Vec<u8>>, u32> {
+    fn carry_out(
+        &mut self,
+        message: &[u8],
+        capacities: (usize, usize),
+        in_bootstrap: bool,
+    ) -> Result<Option<Vec<u8>>, u32> {
         let Some((&[operation, _, a, b, c, d], data)) = message.split_first_chunk::<HEADER>() else {
             return Err(ILLEGAL);
         };
         let number = u32::from_le_bytes([a, b, c, d]);
-        let room = capacity.saturating_sub(MAILBOX_HEADER + HEADER).max(1);
+        let room = |capacity: usize| capacity.saturating_sub(MAILBOX_HEADER + HEADER).max(1);
+        let (room_in, room) = (room(capacities.0), room(capacities.1));
         match operation {
             READ => {
                 let content = self
@@ -167,7 +179,7 @@ impl FileServer {
                 };
                 Ok(Some(with_number(ACKNOWLEDGE, 0, &[])))
             }
-            DATA => self.take_packet(number, data, room),
+            DATA => self.take_packet(number, data, room_in),
             ACKNOWLEDGE => self.next_packet(number, room),
             ERROR => {
                 self.transfer = Transfer::None;
@@ -294,7 +306,7 @@ mod tests {
 
     fn ask(server: &mut FileServer, operation: u8, number: u32, data: &[u8]) -> Vec<u8> {
         server
-            .receive(&request(operation, number, data), CAPACITY, false)
+            .receive(&request(operation, number, data), (CAPACITY, CAPACITY), false)
             .expect("an answer")
     }
 
@@ -308,7 +320,10 @@ mod tests {
         );
         assert_eq!(ask(&mut server, ACKNOWLEDGE, 1, &[])[2], 2, "the same again");
         assert_eq!(ask(&mut server, ACKNOWLEDGE, 2, &[]), [DATA, 0, 3, 0, 0, 0]);
-        assert_eq!(server.receive(&request(ACKNOWLEDGE, 3, &[]), CAPACITY, false), None);
+        assert_eq!(
+            server.receive(&request(ACKNOWLEDGE, 3, &[]), (CAPACITY, CAPACITY), false),
+            None
+        );
         assert_eq!(ask(&mut server, ACKNOWLEDGE, 3, &[])[..6], [ERROR, 0, 4, 0x80, 0, 0]);
     }
 
@@ -328,6 +343,19 @@ mod tests {
     }
 
     #[test]
+    fn the_length_of_the_mailbox_that_is_written_tells_the_last_packet_of_a_written_file() {
+        let mut server = server();
+        let mut ask = |message: &[u8]| {
+            server
+                .receive(message, (CAPACITY + 4, CAPACITY), false)
+                .map(|answer| answer[0])
+        };
+        assert_eq!(ask(&request(WRITE, 0, b"new")), Some(ACKNOWLEDGE));
+        assert_eq!(ask(&request(DATA, 1, &[1; 8])), Some(ACKNOWLEDGE));
+        assert_eq!(server.file("new"), Some([1; 8].as_slice()));
+    }
+
+    #[test]
     fn what_is_wrong_is_answered_with_its_code() {
         let code = |answer: Vec<u8>| (answer[0], u16::from_le_bytes([answer[2], answer[3]]));
         let mut server = server();
@@ -338,6 +366,10 @@ mod tests {
         let mut secret = FileServer::new(9, true);
         assert_eq!(code(ask(&mut secret, READ, 8, b"notes")), (ERROR, 0x800A));
         assert_eq!(code(ask(&mut secret, WRITE, 9, b"notes")), (ERROR, 0x8008));
-        assert!(secret.receive(&request(WRITE, 9, b"notes"), CAPACITY, true).is_some());
+        assert!(
+            secret
+                .receive(&request(WRITE, 9, b"notes"), (CAPACITY, CAPACITY), true)
+                .is_some()
+        );
     }
 }

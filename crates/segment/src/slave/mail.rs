@@ -109,7 +109,7 @@ impl Slave {
         };
         match self.mailbox.receive(message, capacity, &mut objects) {
             Some((TYPE_FILE, body)) if protocols & PROTOCOL_FOE != 0 => {
-                if let Some(answer) = self.files.receive(body, capacity, in_bootstrap) {
+                if let Some(answer) = self.files.receive(body, (message.len(), capacity), in_bootstrap) {
                     self.mailbox.send(TYPE_FILE, &answer);
                 }
             }

@@ -1,5 +1,6 @@
 //! `etherpen bus`: inspects and changes the slaves, with this computer's master or a running firmware's.
 
+mod files;
 mod objects;
 mod registers;
 mod slaves;
@@ -15,6 +16,7 @@ use crate::error::{ProgramError, code};
 use etherpen::ethercat::state::AlState;
 use etherpen::ethercat::wire::coe::Object;
 use etherpen_segment::transport::{Endpoint, udp_address};
+use files::FileArguments;
 use std::net::SocketAddrV4;
 use std::path::PathBuf;
 
@@ -80,6 +82,12 @@ enum Action {
         #[command(subcommand)]
         action: SdoAction,
     },
+    /// Read or write a file of a slave (FoE), for instance its firmware. The slave goes through INIT to BOOT, which has
+    /// mailboxes of its own, and back to INIT.
+    Foe {
+        #[command(subcommand)]
+        action: FileAction,
+    },
     /// Show registers of the slave controllers: those with a name, or LEN bytes from ADDR.
     Registers {
         /// Slave, from 1. Default: all.
@@ -100,6 +108,15 @@ enum Action {
     },
     /// Show the state of every slave and its changes until interrupted; with --json, one object per line.
     Watch,
+}
+
+/// What to do with a file.
+#[derive(clap::Subcommand, Debug)]
+enum FileAction {
+    /// Read a file of a slave into a file on this computer.
+    Read(FileArguments),
+    /// Write a file on this computer into a slave.
+    Write(FileArguments),
 }
 
 /// What to do with objects.
@@ -192,6 +209,10 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         Action::Sdo {
             action: SdoAction::Write { value, kind, .. },
         } => kind.encode(value).map_err(|why| ProgramError::new(code::USAGE, why))?,
+        Action::Foe {
+            action: FileAction::Write(file),
+        } => std::fs::read(file.path())
+            .map_err(|cause| ProgramError::new(code::USAGE, format!("{}: {cause}", file.path().display())))?,
         _ => Vec::new(),
     };
     let config = arguments.config.load()?;
@@ -241,6 +262,10 @@ fn act(access: &mut dyn BusAccess, action: &Action, written: &[u8], json: bool) 
                 ..
             } => objects::write(access, *slave, *object, (*kind, written), *complete, json),
             SdoAction::List { slave, entries } => objects::list(access, *slave, *entries, json),
+        },
+        Action::Foe { action } => match action {
+            FileAction::Read(file) => files::read(access, file, json),
+            FileAction::Write(file) => files::write(access, file, written, json),
         },
         Action::Registers {
             slave: Some(slave),

@@ -10,6 +10,7 @@ use etherpen::ethercat::error::{BusError, IdentityProperty};
 use etherpen::ethercat::event::Step;
 use etherpen::ethercat::state::{AlState, al_code_hint, al_code_text};
 use etherpen::ethercat::wire::coe::Object;
+use etherpen::ethercat::wire::foe;
 use etherpen::ethercat::wire::mailbox::error_text;
 
 /// The bus's Ethernet port in a few words.
@@ -86,6 +87,7 @@ pub fn service_error(error: &ServiceError) -> String {
         ServiceError::NoSlave { slaves: 0 } => "there are no slaves; check cable and supply of the first one".into(),
         ServiceError::NoSlave { slaves } => format!("there is no such slave; there are {slaves}, counted from 1"),
         ServiceError::NoCoe => "the slave has no mailbox, or none that speaks CoE, so it has no objects".into(),
+        ServiceError::NoFoe => "the slave has no mailbox, or none that speaks FoE, so it has no files".into(),
         ServiceError::NotAllowed(number) => format!(
             "nothing can be changed now: {}; disable the drives, or end what the robot does first",
             Mode::from_number(*number).map_or("unknown mode", mode)
@@ -151,6 +153,17 @@ pub fn bus_error(error: &BusError) -> String {
                 "the slave answered by mailbox error {detail:#06x}: {}",
                 error_text(detail)
             )
+        }
+        BusError::FileError { code } => format!(
+            "the slave ended the file transfer with code {code:#06x}: {}",
+            foe::error_text(code)
+        ),
+        BusError::FilePacket { expected, actual } => {
+            format!("packet {actual} of the file came instead of packet {expected}; try again")
+        }
+        BusError::FileAnswer => "the slave's answer does not belong to a file transfer; try again".into(),
+        BusError::FileBusy { waited_ms } => {
+            format!("the slave was busy with the file for {waited_ms} ms; power-cycle it if it persists")
         }
         BusError::MailboxLength { expected, actual } => {
             format!("the slave's mailbox of {actual} bytes cannot be used (1 to {expected} bytes can)")
