@@ -99,7 +99,7 @@ pub struct Bus {
     pub exchange: ExchangeKind,
     /// Sync manager watchdog of the drives, ms; longer than `blind_max_ms`.
     pub watchdog_ms: u16,
-    /// Longest time in motion without a valid measurement, ms.
+    /// Longest time in motion without a valid measurement, or with outputs that a drive has not confirmed, ms.
     pub blind_max_ms: u16,
     /// Late cycles within a second above which a fault is raised.
     pub late_max_per_s: u16,

@@ -12,6 +12,7 @@ mod feedback_soak;
 mod identity;
 mod liveness;
 mod matrix;
+mod outputs;
 mod outside;
 mod robot;
 mod stale;

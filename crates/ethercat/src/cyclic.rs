@@ -69,6 +69,10 @@ pub struct Exchange<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usi
     /// Slaves that answer only the second telegram, one bit each.
     second_only: u32,
     answered: u32,
+    /// Watched members whose outputs come back in a telegram of their own, one bit each.
+    output_members: u32,
+    /// Those of them that have not confirmed the last output telegram.
+    unconfirmed: u32,
     al: Option<AlStatus>,
     clock_ns: Option<u64>,
     next_index: u8,
@@ -97,6 +101,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
             input_valid: 0,
             second_only: 0,
             answered: 0,
+            output_members: 0,
+            unconfirmed: 0,
             al: None,
             clock_ns: None,
             next_index: 0,
@@ -144,6 +150,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
             return &[];
         }
         self.counters.frames_sent = self.counters.frames_sent.saturating_add(1);
+        self.unconfirmed = self.output_members;
         let index = self.take_index();
         self.second.send(index)
     }
@@ -216,6 +223,13 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
         telegram
             .bytes_mut(place.start.into(), place.length.into())
             .unwrap_or(&mut [])
+    }
+
+    /// Members in operation, one bit for each place in the chain, that have not confirmed the last output telegram: its
+    /// reply has not come, or not with the expected working counter. 0 when outputs travel with the inputs.
+    #[inline]
+    pub fn unconfirmed(&self) -> u32 {
+        self.unconfirmed
     }
 
     /// This cycle's AL status of the slaves in use, and the number of all slaves that answered.
@@ -317,11 +331,13 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
         self.first.clear(&self.encapsulation, self.source);
         self.second.clear(&self.encapsulation, self.source);
         self.outputs = [OutputPlace::default(); SLAVES];
-        self.second_only = 0;
+        (self.second_only, self.output_members) = (0, 0);
         let kind = plan.exchange;
         for ((number, slave), place) in (0..).zip(&plan.slaves).zip(&mut self.outputs) {
             let (first, second) = (slave.first_window(kind), slave.second_window(kind));
             self.second_only |= u32::from(first.is_none() && second.is_some()) << (number & 31);
+            let is_member = slave.watched && slave.role.is_some();
+            self.output_members |= u32::from(is_member && second.is_some()) << (number & 31);
             let windows = [(first, &mut self.first), (second, &mut self.second)];
             for (window, telegram) in windows {
                 let Some(window) = window else { continue };
@@ -334,6 +350,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
                 }
             }
         }
+        self.unconfirmed &= self.output_members;
         self.first.push_common(plan.clock);
         self.first.finish(&self.encapsulation);
         self.second.finish(&self.encapsulation);
@@ -447,6 +464,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
             Ok(Arrival::Input)
         } else {
             self.answered |= taken.answered & self.second_only;
+            self.unconfirmed &= !taken.answered;
             Ok(Arrival::Output)
         }
     }
