@@ -13,6 +13,7 @@ pub use bounds::{ConfigError, Field, QUICK_STOP_MAX_MS};
 pub use bus::{AddressError, Bus, HostAddress, NetworkSettings, Transport};
 pub use etherpen_motion::settings::{Geometry, MotionLimits, Orientation, Paper, WorkCylinder};
 
+use crate::ethercat::clock::Settling;
 use crate::ethercat::slave_set::SlaveSet;
 use crate::hash::fnv1a;
 use crate::robot_bus::{PERIOD_NS, RobotBusSetup};
@@ -93,6 +94,10 @@ impl Config {
             watchdog_ms: self.bus.watchdog_ms,
             clocks: self.bus.clocks,
             sync_shift_us: self.bus.sync_shift_us,
+            settling: Settling {
+                difference_ns: self.bus.settle_difference_ns,
+                wait_ms: self.bus.settle_max_ms.into(),
+            },
         }
     }
 

@@ -30,6 +30,7 @@ pub fn bus_condition(event: &BusEvent) -> Option<BusCondition> {
         BusEvent::Found { .. }
         | BusEvent::Slave { .. }
         | BusEvent::Repaired { .. }
+        | BusEvent::Waiting { .. }
         | BusEvent::TerminalRefused { .. }
         | BusEvent::Stopped
         | BusEvent::Emergency { .. }

@@ -69,6 +69,8 @@ pub struct Coordinator<'a> {
     motion: MotionReport,
     report: Option<CycleReport>,
     slaves: Vec<SlaveStatus, SLAVES_REPORTED>,
+    /// The slave whose start the bring-up or repair waits for.
+    waiting_for: Option<u8>,
     counters: Counters,
     vertices_admitted: u32,
     orders_sent: u32,
@@ -100,6 +102,7 @@ impl<'a> Coordinator<'a> {
             motion: MotionReport::default(),
             report: None,
             slaves: Vec::new(),
+            waiting_for: None,
             counters: Counters::default(),
             vertices_admitted: 0,
             orders_sent: 0,
@@ -233,6 +236,11 @@ impl<'a> Coordinator<'a> {
     }
 
     fn take_event(&mut self, event: &BusEvent) {
+        // Whatever comes next ends the wait.
+        self.waiting_for = match *event {
+            BusEvent::Waiting { position, .. } => Some(position),
+            _ => None,
+        };
         match *event {
             BusEvent::Slave {
                 position,

@@ -20,6 +20,7 @@ pub(super) struct Told {
     recovering: bool,
     interlock: Option<Interlock>,
     port: PortState,
+    waiting_for: Option<u8>,
 }
 
 impl Told {
@@ -30,6 +31,7 @@ impl Told {
         recovering: false,
         interlock: None,
         port: PortState::Unknown,
+        waiting_for: None,
     };
 }
 
@@ -55,6 +57,7 @@ impl Coordinator<'_> {
             recovering: self.application.is_recovering(),
             interlock: self.condition.interlock,
             port: self.board.port,
+            waiting_for: self.waiting_for,
             referenced: self.condition.unreferenced.is_none(),
             reference_lost: self.was_referenced && self.condition.unreferenced.is_some(),
             increments: self.increments(),
@@ -72,6 +75,7 @@ impl Coordinator<'_> {
             recovering: self.application.is_recovering(),
             interlock: self.condition.interlock,
             port: self.board.port,
+            waiting_for: self.waiting_for,
         }
     }
 

@@ -5,7 +5,7 @@
 
 use super::super::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
 use super::super::clock::{self, BusClocks};
-use super::super::cyclic::{CyclicPlan, CyclicSlave, PlanError, ReferenceClock};
+use super::super::cyclic::{CyclicPlan, CyclicSlave, ExchangeKind, PlanError, ReferenceClock};
 use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
 use super::super::event::{BusEvent, BusSetup};
@@ -32,6 +32,8 @@ pub(super) struct Bus<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     plans: Producer<'a, CyclicPlan<F, SLAVES>>,
     events: Producer<'a, BusEvent>,
     pub(super) setup: BusSetup<F>,
+    /// When inputs are read and outputs are written: as the setup says, unless a member cannot.
+    pub(super) exchange: ExchangeKind,
     pub(super) slaves: Vec<Slave<F>, SLAVES>,
     pub(super) clocks: BusClocks<SLAVES>,
     /// Number of the clocks' present time.
@@ -57,6 +59,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             plans,
             events,
             setup: BusSetup::default(),
+            exchange: ExchangeKind::default(),
             slaves: Vec::new(),
             clocks: BusClocks::default(),
             time_number: 0,
@@ -154,7 +157,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             al_bits_ignored: ignored.fold(register::AL_IDENTIFY_BIT, |bits, slave| bits | slave)
                 & !(AlState::Operational as u16),
             slaves: slaves.collect(),
-            exchange: self.setup.exchange,
+            exchange: self.exchange,
             clock: self.reference_clock(),
         }
     }
@@ -198,7 +201,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         });
         let mut plan = CyclicPlan {
             slaves: slaves.collect(),
-            exchange: self.setup.exchange,
+            exchange: self.exchange,
             al_bits_ignored: STATUS_MASK,
             clock: self.reference_clock(),
         };
