@@ -1,12 +1,12 @@
 //! Two equal drives with exchanged cables: no motor moves, both places are named, and put back the machine draws.
 
+use crate::STILL_RAD_S;
 use crate::liveness::{acknowledge, come_back};
 use crate::robot::Robot;
-use crate::STILL_RAD_S;
 use etherpen::application::{Fault, Mode};
 use etherpen::config::Config;
-use etherpen::ethercat::error::IdentityProperty;
 use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest};
+use etherpen::ethercat::error::IdentityProperty;
 use host_tools::cell::{CellOptions, Fault as CellFault, PlaceOptions};
 use host_tools::link::text;
 
@@ -49,7 +49,16 @@ fn robot(kind: IdentityProperty, clocks: bool, speed_mm_s: f64) -> (Robot, Confi
 
 /// Asserts that the operator reads both places.
 fn assert_both_named(fault: Option<Fault>, kind: IdentityProperty) {
-    let Some(fault @ Fault::WrongSlave { slave, property, expected, found, other }) = fault else {
+    let Some(
+        fault @ Fault::WrongSlave {
+            slave,
+            property,
+            expected,
+            found,
+            other,
+        },
+    ) = fault
+    else {
         panic!("{fault:?}");
     };
     assert_eq!((slave, other, property), (1, Some(2), kind));

@@ -60,7 +60,12 @@ fn a_drive_that_takes_no_outputs_stops_the_others_within_the_blind_limit() {
             let stopped_ms = quick_stop_after_ms(&mut robot, &[DEAF]);
             println!("{speed_mm_s} mm/s, clocks {clocks}, {deaf_ms} ms: the others brake after {stopped_ms:?} ms");
             let own_ms = drives_own_ms(speed_mm_s, clocks);
-            assert!(stopped_ms.is_some_and(|ms| ms <= blind_max_ms() + 1 + own_ms), "{stopped_ms:?}, {:?} {:?}", robot.fault(), robot.cell());
+            assert!(
+                stopped_ms.is_some_and(|ms| ms <= blind_max_ms() + 1 + own_ms),
+                "{stopped_ms:?}, {:?} {:?}",
+                robot.fault(),
+                robot.cell()
+            );
             assert_stands(&mut robot);
             let fault = robot.fault();
             let is_named = match fault {
@@ -85,7 +90,12 @@ fn lost_output_telegrams_end_in_a_quick_stop_as_soon_as_it_can_arrive() {
             robot.inject(CellFault::Mute(8));
             let stopped_ms = quick_stop_after_ms(&mut robot, &[]);
             println!("{speed_mm_s} mm/s, clocks {clocks}: brakes after {stopped_ms:?} ms");
-            assert!(stopped_ms.is_some_and(|ms| ms <= 8 + 1 + drives_own_ms(speed_mm_s, clocks)), "{stopped_ms:?}, {:?} {:?}", robot.fault(), robot.cell());
+            assert!(
+                stopped_ms.is_some_and(|ms| ms <= 8 + 1 + drives_own_ms(speed_mm_s, clocks)),
+                "{stopped_ms:?}, {:?} {:?}",
+                robot.fault(),
+                robot.cell()
+            );
             assert_stands(&mut robot);
             assert!(
                 matches!(robot.fault(), Some(Fault::OutputsLost { axis: None, lost_ms, limit_ms })

@@ -72,7 +72,9 @@ pub(crate) async fn confirmed<const MESSAGE: usize>(
         return Ok(());
     };
     let expected = u32::from(mode.operation_mode.cast_unsigned());
-    slave.await_value(OPERATION_MODE_DISPLAY, expected, 1, MODE_TIMEOUT_MS).await
+    slave
+        .await_value(OPERATION_MODE_DISPLAY, expected, 1, MODE_TIMEOUT_MS)
+        .await
 }
 
 /// Chooses the process data of a drive that the application does not use, in its first mode, and makes their layout.

@@ -215,10 +215,7 @@ pub async fn acknowledge<const MESSAGE: usize>(
 ///
 /// # Errors
 /// [`BusError::RequestUnread`], or as [`AcyclicPort::send_until_counted`].
-pub async fn switch<const MESSAGE: usize>(
-    port: &mut AcyclicPort<'_, MESSAGE>,
-    station: u16,
-) -> Result<u16, BusError> {
+pub async fn switch<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, station: u16) -> Result<u16, BusError> {
     let before = report(port, station).await?;
     if before.is_flagged() {
         return Ok(0);

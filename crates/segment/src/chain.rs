@@ -359,7 +359,11 @@ impl Chain {
             return;
         }
         for place in [one, other] {
-            self.slaves.iter_mut().skip(place).take(1).for_each(|slave| slave.set_links(0));
+            self.slaves
+                .iter_mut()
+                .skip(place)
+                .take(1)
+                .for_each(|slave| slave.set_links(0));
         }
         self.slaves.swap(one, other);
         self.numbers.swap(one, other);

@@ -11,8 +11,8 @@ use etherpen::config::ConfigError;
 use etherpen::messages::{Command, ConfigRefusal, Status};
 use etherpen::motion::{Outside, RefusalReason};
 use etherpen::robots::{KinematicsError, Words};
-use std::borrow::Cow;
 pub use faults::fault;
+use std::borrow::Cow;
 
 /// An operating mode in a few words.
 pub fn mode(mode: Mode) -> &'static str {

@@ -57,23 +57,28 @@ fn exchanged_drives_are_refused_at_bring_up_with_both_places_until_they_are_put_
         let (mut segment, setup) = numbered(kind);
         segment.slaves.swap(1, 2);
         let mut is_refused = false;
-        run_with(setup, segment, |_| false, |_, bench, events| {
-            for refusal in refusals(events) {
-                assert!(!is_refused, "{refusal:?}");
-                assert_eq!(refusal, wrong(kind, 1, 2));
-                assert_eq!(bench.segment.states(), [1; 4], "nobody has left INIT");
-                is_refused = true;
-                bench.segment.slaves.swap(1, 2);
-                return Next::Recover;
-            }
-            match events.contains(&BusEvent::Operational) {
-                true => {
-                    assert!(is_refused, "{kind:?}: the wrong order was taken");
-                    Next::Done
+        run_with(
+            setup,
+            segment,
+            |_| false,
+            |_, bench, events| {
+                for refusal in refusals(events) {
+                    assert!(!is_refused, "{refusal:?}");
+                    assert_eq!(refusal, wrong(kind, 1, 2));
+                    assert_eq!(bench.segment.states(), [1; 4], "nobody has left INIT");
+                    is_refused = true;
+                    bench.segment.slaves.swap(1, 2);
+                    return Next::Recover;
                 }
-                false => Next::On,
-            }
-        });
+                match events.contains(&BusEvent::Operational) {
+                    true => {
+                        assert!(is_refused, "{kind:?}: the wrong order was taken");
+                        Next::Done
+                    }
+                    false => Next::On,
+                }
+            },
+        );
     }
 }
 
@@ -83,35 +88,40 @@ fn drives_exchanged_while_they_were_off_are_refused_in_the_repair_with_both_plac
         println!("{kind:?}");
         let (segment, setup) = numbered(kind);
         let (mut lost, mut refused, mut is_back) = (0, Vec::new(), false);
-        run_with(setup, segment, |_| false, |_, bench, events| {
-            let segment = &mut bench.segment;
-            refused.extend(refusals(events));
-            for event in events {
-                match event {
-                    BusEvent::Operational if is_back => return Next::Done,
-                    BusEvent::Operational => {
-                        segment.slaves.swap(1, 2);
-                        segment.slaves[1].power_up();
-                        segment.slaves[2].power_up();
+        run_with(
+            setup,
+            segment,
+            |_| false,
+            |_, bench, events| {
+                let segment = &mut bench.segment;
+                refused.extend(refusals(events));
+                for event in events {
+                    match event {
+                        BusEvent::Operational if is_back => return Next::Done,
+                        BusEvent::Operational => {
+                            segment.slaves.swap(1, 2);
+                            segment.slaves[1].power_up();
+                            segment.slaves[2].power_up();
+                        }
+                        BusEvent::SlaveLost { .. } => lost += 1,
+                        _ => {}
                     }
-                    BusEvent::SlaveLost { .. } => lost += 1,
-                    _ => {}
                 }
-            }
-            if lost == 2 {
-                lost = 0;
-                return Next::Recover;
-            }
-            if refused.len() == 2 && !is_back {
-                assert_eq!(refused, [wrong(kind, 1, 2), wrong(kind, 2, 1)]);
-                assert_eq!(segment.states()[1..3], [1; 2], "neither has left INIT");
-                // Under power: what a refusal leaves behind must not keep the right order from being seen.
-                segment.slaves.swap(1, 2);
-                is_back = true;
-                return Next::Recover;
-            }
-            Next::On
-        });
+                if lost == 2 {
+                    lost = 0;
+                    return Next::Recover;
+                }
+                if refused.len() == 2 && !is_back {
+                    assert_eq!(refused, [wrong(kind, 1, 2), wrong(kind, 2, 1)]);
+                    assert_eq!(segment.states()[1..3], [1; 2], "neither has left INIT");
+                    // Under power: what a refusal leaves behind must not keep the right order from being seen.
+                    segment.slaves.swap(1, 2);
+                    is_back = true;
+                    return Next::Recover;
+                }
+                Next::On
+            },
+        );
         assert_eq!(refused.len(), 2);
     }
 }
@@ -137,19 +147,24 @@ fn a_drive_of_another_product_or_without_the_number_is_refused_without_a_second_
     ] {
         let mut setup = setup();
         setup.settings[3].identity = expected;
-        run_with(setup, FakeSegment::drives(4), |_| false, |_, _, events| {
-            assert!(!events.contains(&BusEvent::Operational));
-            let Some(refusal) = refusals(events).next() else {
-                return Next::On;
-            };
-            let error = BusError::WrongSlave {
-                property,
-                expected: value,
-                actual,
-                other: None,
-            };
-            assert_eq!(refusal, (Some(3), Step::Identify, error));
-            Next::Done
-        });
+        run_with(
+            setup,
+            FakeSegment::drives(4),
+            |_| false,
+            |_, _, events| {
+                assert!(!events.contains(&BusEvent::Operational));
+                let Some(refusal) = refusals(events).next() else {
+                    return Next::On;
+                };
+                let error = BusError::WrongSlave {
+                    property,
+                    expected: value,
+                    actual,
+                    other: None,
+                };
+                assert_eq!(refusal, (Some(3), Step::Identify, error));
+                Next::Done
+            },
+        );
     }
 }

@@ -2,8 +2,8 @@
 
 use super::fake::{FakeSegment, FakeSlave};
 use super::rig::{Next, run, run_with, setup};
-use etherpen_ethercat::error::BusError;
 use etherpen_ethercat::cyclic::ExchangeKind;
+use etherpen_ethercat::error::BusError;
 use etherpen_ethercat::event::{BusEvent, BusSetup, Step};
 use etherpen_ethercat::wire::coe::Object;
 use etherpen_ethercat::wire::register;

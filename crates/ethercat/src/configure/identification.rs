@@ -98,10 +98,7 @@ impl ExpectedIdentity {
 ///
 /// # Errors
 /// As [`AcyclicPort::send_until_counted`].
-pub async fn alias<const MESSAGE: usize>(
-    port: &mut AcyclicPort<'_, MESSAGE>,
-    station: u16,
-) -> Result<u16, BusError> {
+pub async fn alias<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, station: u16) -> Result<u16, BusError> {
     port.read_u16(station, register::STATION_ALIAS).await
 }
 
@@ -132,10 +129,22 @@ mod tests {
         };
         assert_eq!(right.difference(&slave), None);
         let differs = |expected: ExpectedIdentity| expected.difference(&slave).map(|difference| difference.property);
-        assert_eq!(differs(ExpectedIdentity { alias: 6, ..right }), Some(IdentityProperty::Alias));
-        assert_eq!(differs(ExpectedIdentity { switch: 7, ..right }), Some(IdentityProperty::Switch));
-        assert_eq!(differs(ExpectedIdentity { serial: 5, ..right }), Some(IdentityProperty::Serial));
-        assert_eq!(differs(ExpectedIdentity { revision: 4, ..right }), Some(IdentityProperty::Revision));
+        assert_eq!(
+            differs(ExpectedIdentity { alias: 6, ..right }),
+            Some(IdentityProperty::Alias)
+        );
+        assert_eq!(
+            differs(ExpectedIdentity { switch: 7, ..right }),
+            Some(IdentityProperty::Switch)
+        );
+        assert_eq!(
+            differs(ExpectedIdentity { serial: 5, ..right }),
+            Some(IdentityProperty::Serial)
+        );
+        assert_eq!(
+            differs(ExpectedIdentity { revision: 4, ..right }),
+            Some(IdentityProperty::Revision)
+        );
         let product = ExpectedIdentity {
             product: 9,
             alias: 6,

@@ -133,7 +133,10 @@ pub fn fault(fault: &Fault) -> String {
                          (etherpen bus scan shows them)"
                     .to_owned(),
             };
-            format!("slave {} is not the one that belongs there{difference}; {hint}, then acknowledge", one(slave))
+            format!(
+                "slave {} is not the one that belongs there{difference}; {hint}, then acknowledge",
+                one(slave)
+            )
         }
         Fault::RepairTimeout { waited_ms } => format!(
             "the bus did not recover within {waited_ms} ms, and the cause is not known yet; check the slaves (etherpen bus \
@@ -248,10 +251,16 @@ mod tests {
             (IdentityProperty::Station, "is not the one"),
         ] {
             let text = wrong(property, Some(2));
-            assert!(text.contains("slave 2 ") && text.contains("with slave 3:") && text.contains(word), "{text}");
+            assert!(
+                text.contains("slave 2 ") && text.contains("with slave 3:") && text.contains(word),
+                "{text}"
+            );
         }
         let unknown = wrong(IdentityProperty::Alias, None);
-        assert!(unknown.contains("slave 2 ") && unknown.contains("etherpen.toml"), "{unknown}");
+        assert!(
+            unknown.contains("slave 2 ") && unknown.contains("etherpen.toml"),
+            "{unknown}"
+        );
     }
 
     #[test]
