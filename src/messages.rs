@@ -192,6 +192,8 @@ pub struct Status {
     pub interlock: Option<Interlock>,
     /// State of the bus's Ethernet port.
     pub port: PortState,
+    /// The slave, by its place in the chain from 0, whose start the bring-up or repair waits for.
+    pub waiting_for: Option<u8>,
     /// Whether the joint angles are referenced.
     pub referenced: bool,
     /// Whether the joint angles were referenced since start-up and no longer are: the robot may be anywhere.

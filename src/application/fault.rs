@@ -207,6 +207,15 @@ pub enum Fault {
         /// Whether it is open or missing.
         cause: InputCause,
     },
+    /// Drives confirmed no outputs for the blind limit: the telegrams were lost, or had the wrong working counter.
+    OutputsLost {
+        /// Axis, from 0; `None` for all axes.
+        axis: Option<u8>,
+        /// Milliseconds without a confirmation.
+        lost_ms: u16,
+        /// The limit.
+        limit_ms: u16,
+    },
 }
 
 impl From<ClockFault> for Fault {
@@ -260,6 +269,7 @@ impl Fault {
             return matches!(
                 known,
                 Self::Blind { .. }
+                    | Self::OutputsLost { .. }
                     | Self::SlaveLost { .. }
                     | Self::SlaveState { .. }
                     | Self::UnexpectedBus { .. }
@@ -269,7 +279,10 @@ impl Fault {
         let is_specific = !matches!(self, Self::SlaveState { al_state, .. } if *al_state == AL_OPERATIONAL);
         let is_vague = matches!(
             known,
-            Self::Blind { .. } | Self::RepairTimeout { .. } | Self::SlaveState { slave: u8::MAX, .. }
+            Self::Blind { .. }
+                | Self::OutputsLost { .. }
+                | Self::RepairTimeout { .. }
+                | Self::SlaveState { slave: u8::MAX, .. }
         );
         is_specific && (is_vague || slave_of(known).is_some() && slave_of(known) == slave_of(self))
     }

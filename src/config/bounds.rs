@@ -53,7 +53,7 @@ const BLIND_MAX_MS: f64 = 8.0;
 pub const QUICK_STOP_MAX_MS: u32 = 950;
 
 /// Rows of the bus in the table of bounds.
-const BUS_BOUNDS: usize = 9;
+const BUS_BOUNDS: usize = 11;
 
 /// Rows of an axis in the table of bounds.
 const AXIS_BOUNDS: usize = 30;
@@ -212,6 +212,13 @@ impl Bus {
                 f64::from(0xDFFF_FFFF_u32),
             ),
             bound("bus.sync_shift_us", f64::from(bus.sync_shift_us), 0.0, 999.0),
+            bound(
+                "bus.settle_difference_ns",
+                f64::from(bus.settle_difference_ns),
+                50.0,
+                100_000.0,
+            ),
+            bound("bus.settle_max_ms", f64::from(bus.settle_max_ms), 100.0, 60_000.0),
             bound("bus.clock_error_max_us", f64::from(bus.clock_error_max_us), 10.0, 500.0),
             bound(
                 "bus.watchdog_ms",

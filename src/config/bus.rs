@@ -1,5 +1,6 @@
 //! Configuration of the bus: the expected drives, time limits, and the transport of EtherCAT.
 
+use crate::ethercat::clock::{DIFFERENCE_MAX_NS, DIFFERENCE_TIMEOUT_MS};
 use crate::ethercat::cyclic::ExchangeKind;
 use crate::robots::AXES;
 use core::fmt::{self, Write};
@@ -99,7 +100,7 @@ pub struct Bus {
     pub exchange: ExchangeKind,
     /// Sync manager watchdog of the drives, ms; longer than `blind_max_ms`.
     pub watchdog_ms: u16,
-    /// Longest time in motion without a valid measurement, ms.
+    /// Longest time in motion without a valid measurement, or with outputs that a drive has not confirmed, ms.
     pub blind_max_ms: u16,
     /// Late cycles within a second above which a fault is raised.
     pub late_max_per_s: u16,
@@ -111,6 +112,10 @@ pub struct Bus {
     pub clocks: bool,
     /// Time of SYNC0 after the input telegram's frame has passed the reference clock, us, for drives that use SYNC0.
     pub sync_shift_us: u16,
+    /// Difference from the reference at which a slave's clock has settled, ns; before that it does not go to OP.
+    pub settle_difference_ns: u32,
+    /// Longest wait for a clock to settle, ms.
+    pub settle_max_ms: u16,
     /// Phase error of the sample relative to the bus clock above which a fault is raised, us.
     pub clock_error_max_us: u16,
     /// Transport of EtherCAT.
@@ -152,6 +157,8 @@ impl Default for Bus {
             // Drives that ignore SYNC0 keep their own time; following the clock of one of them has no benefit.
             clocks: false,
             sync_shift_us: 500,
+            settle_difference_ns: DIFFERENCE_MAX_NS,
+            settle_max_ms: DIFFERENCE_TIMEOUT_MS as u16,
             clock_error_max_us: 50,
             transport: Transport::Raw,
             address: HostAddress::Dhcp,

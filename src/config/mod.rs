@@ -17,7 +17,9 @@ pub use io::{
     IO_MAX, IO_NAME_MAX, IoDirection, IoError, IoName, IoPoint, IoPoints, IoRole, IoType, ObjectName, OnFault,
 };
 
+use crate::ethercat::clock::Settling;
 use crate::ethercat::event::WantedValue;
+use crate::ethercat::slave_set::SlaveSet;
 use crate::ethercat::wire::coe::Object;
 use crate::hash::fnv1a;
 use crate::robot_bus::{PERIOD_NS, RobotBusSetup};
@@ -105,6 +107,10 @@ impl Config {
             watchdog_ms: self.bus.watchdog_ms,
             clocks: self.bus.clocks,
             sync_shift_us: self.bus.sync_shift_us,
+            settling: Settling {
+                difference_ns: self.bus.settle_difference_ns,
+                wait_ms: self.bus.settle_max_ms.into(),
+            },
         }
     }
 

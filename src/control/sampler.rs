@@ -510,6 +510,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         let power = self.power == Power::On;
         let mut seen = Observation {
             valid: self.now.valid,
+            unconfirmed: self.group.unconfirmed(),
             following_error_rad: [0.0; AXES],
             output_rad_s: *output_rad_s,
             status_word: self.now.status_word,

@@ -19,6 +19,8 @@ pub const LATE_WINDOW_MS: u16 = 1_000;
 pub struct Observation {
     /// Whether each axis delivered a valid position in this cycle.
     pub valid: [bool; AXES],
+    /// Axes whose drive has not confirmed the outputs of the cycle before, one bit each.
+    pub unconfirmed: u32,
     /// Following error of each axis, rad.
     pub following_error_rad: [f64; AXES],
     /// Velocity command before the clamp, rad/s.
@@ -61,6 +63,8 @@ const AL_OPERATIONAL: u8 = 8;
 pub struct Supervision {
     fault: Option<Fault>,
     blind_ms: [u16; AXES],
+    /// How long each axis's drive has confirmed no outputs.
+    unconfirmed_ms: [u16; AXES],
     clamped: [u8; AXES],
     window_ms: u16,
     late: u16,
@@ -79,6 +83,7 @@ impl Supervision {
         Self {
             fault: None,
             blind_ms: [0; AXES],
+            unconfirmed_ms: [0; AXES],
             clamped: [0; AXES],
             window_ms: 0,
             late: 0,
@@ -112,10 +117,10 @@ impl Supervision {
             self.check_input(stop, seen.power);
         }
         self.count_late(bus, seen.late, seen.following);
-        if seen.valid == [true; AXES] {
-            self.blind_ms = [0; AXES];
+        if seen.valid == [true; AXES] && seen.unconfirmed == 0 {
+            (self.blind_ms, self.unconfirmed_ms) = ([0; AXES], [0; AXES]);
         } else {
-            self.count_blind(&seen.valid);
+            self.count_blind(&seen.valid, seen.unconfirmed);
         }
         if seen.home_lost != [false; AXES] && seen.following {
             self.check_homes(&seen.home_lost);
@@ -150,9 +155,13 @@ impl Supervision {
     }
 
     #[cold]
-    fn count_blind(&mut self, valid: &[bool; AXES]) {
+    fn count_blind(&mut self, valid: &[bool; AXES], unconfirmed: u32) {
+        let next = |ms: u16, is_missing: bool| if is_missing { ms.saturating_add(1) } else { 0 };
         for (ms, valid) in self.blind_ms.iter_mut().zip(valid) {
-            *ms = if *valid { 0 } else { ms.saturating_add(1) };
+            *ms = next(*ms, !valid);
+        }
+        for (axis, ms) in self.unconfirmed_ms.iter_mut().enumerate() {
+            *ms = next(*ms, unconfirmed >> axis & 1 != 0);
         }
     }
 
@@ -173,6 +182,9 @@ impl Supervision {
             self.question_state(al_state, seen.spares_terminals);
         } else {
             self.al_unexplained_ms = 0;
+        }
+        if seen.unconfirmed != 0 {
+            self.look_for_lost_outputs(bus.blind_max_ms);
         }
         if let Some(fault) = seen.clock {
             self.latch(fault);
@@ -213,6 +225,20 @@ impl Supervision {
             });
         } else if let Some(axis) = blind.iter().position(|b| *b) {
             self.latch(Fault::SlaveLost { slave: axis as u8 });
+        }
+    }
+
+    /// The outputs of this cycle are the next ones that may be lost, so the limit is reached a cycle before it is
+    /// exceeded. One lost telegram is never a fault.
+    #[cold]
+    fn look_for_lost_outputs(&mut self, limit_ms: u16) {
+        let lost = self.unconfirmed_ms.map(|ms| ms >= limit_ms.max(2));
+        if let Some(axis) = lost.iter().position(|lost| *lost) {
+            self.latch(Fault::OutputsLost {
+                axis: (lost != [true; AXES]).then_some(axis as u8),
+                lost_ms: self.unconfirmed_ms[axis],
+                limit_ms,
+            });
         }
     }
 

@@ -31,6 +31,8 @@ pub fn bus_condition(event: &BusEvent) -> Option<BusCondition> {
         BusEvent::Found { .. }
         | BusEvent::Slave { .. }
         | BusEvent::Repaired { .. }
+        | BusEvent::Waiting { .. }
+        | BusEvent::TerminalRefused { .. }
         | BusEvent::Stopped
         | BusEvent::Emergency { .. }
         | BusEvent::CableErrors { .. } => return None,

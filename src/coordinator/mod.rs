@@ -76,6 +76,8 @@ pub struct Coordinator<'a> {
     /// Place in the chain of each axis's drive.
     places: [u8; AXES],
     io: Io,
+    /// The slave whose start the bring-up or repair waits for.
+    waiting_for: Option<u8>,
     counters: Counters,
     vertices_admitted: u32,
     orders_sent: u32,
@@ -109,6 +111,7 @@ impl<'a> Coordinator<'a> {
             slaves: Vec::new(),
             places: core::array::from_fn(|axis| axis as u8),
             io: Io::new(),
+            waiting_for: None,
             counters: Counters::default(),
             vertices_admitted: 0,
             orders_sent: 0,
@@ -244,6 +247,11 @@ impl<'a> Coordinator<'a> {
     }
 
     fn take_event(&mut self, event: &BusEvent) {
+        // Whatever comes next ends the wait.
+        self.waiting_for = match *event {
+            BusEvent::Waiting { position, .. } => Some(position),
+            _ => None,
+        };
         match *event {
             BusEvent::Slave {
                 position,

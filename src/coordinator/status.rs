@@ -23,6 +23,7 @@ pub(super) struct Told {
     port: PortState,
     /// How often the named inputs and outputs had changed.
     io_changes: u32,
+    waiting_for: Option<u8>,
 }
 
 impl Told {
@@ -34,6 +35,7 @@ impl Told {
         interlock: None,
         port: PortState::Unknown,
         io_changes: 0,
+        waiting_for: None,
     };
 }
 
@@ -65,6 +67,7 @@ impl Coordinator<'_> {
             recovering: self.application.is_recovering(),
             interlock: self.condition.interlock,
             port: self.board.port,
+            waiting_for: self.waiting_for,
             referenced: self.condition.unreferenced.is_none(),
             reference_lost: self.was_referenced && self.condition.unreferenced.is_some(),
             increments: self.increments(),
@@ -84,6 +87,7 @@ impl Coordinator<'_> {
             interlock: self.condition.interlock,
             port: self.board.port,
             io_changes: self.io.changes(),
+            waiting_for: self.waiting_for,
         }
     }
 

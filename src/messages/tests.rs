@@ -85,6 +85,7 @@ fn full_status() -> Status {
         recovering: false,
         interlock: Some(Interlock::Clock),
         port: PortState::Up,
+        waiting_for: Some(u8::MAX),
         referenced: true,
         reference_lost: true,
         increments: [Some(u32::MAX); 4],

@@ -28,7 +28,11 @@ fn robot(kind: IdentityProperty, clocks: bool, speed_mm_s: f64) -> (Robot, Confi
     config.motion.speed_mm_s = speed_mm_s;
     let mut places = Vec::new();
     for (number, axis) in (FIRST..).zip(&mut config.axes) {
-        let mut place = PlaceOptions::default();
+        // Nothing else tells them apart.
+        let mut place = PlaceOptions {
+            serial: Some(0),
+            ..PlaceOptions::default()
+        };
         match kind {
             IdentityProperty::Alias => (place.alias, axis.alias) = (number, number),
             IdentityProperty::Switch => (place.identification, axis.switch) = (Some(number), number),
@@ -88,7 +92,7 @@ fn drives_with_exchanged_cables_are_refused_before_anything_moves_and_draw_when_
 #[test]
 fn drives_exchanged_while_they_were_off_are_refused_in_the_repair_and_draw_when_they_are_put_back() {
     for kind in KINDS {
-        for (clocks, speed_mm_s) in [(false, 20.0), (true, 20.0), (false, 500.0), (true, 500.0)] {
+        for (clocks, speed_mm_s) in [(false, 50.0), (true, 50.0), (false, 500.0), (true, 500.0)] {
             println!("{kind:?}, clocks {clocks}, {speed_mm_s} mm/s");
             let mut robot = robot(kind, clocks, speed_mm_s).0.enabled().in_a_drawing();
             robot.inject(CellFault::Power(2, 2_000));
@@ -96,6 +100,7 @@ fn drives_exchanged_while_they_were_off_are_refused_in_the_repair_and_draw_when_
             robot.run(1_000);
             robot.inject(EXCHANGED);
             robot.run(1_500);
+            robot.wait_for(Mode::Fault);
             assert!(robot.speed_rad_s() < STILL_RAD_S);
             let before = robot.cell().joints;
             assert_both_named(acknowledge(&mut robot), kind);

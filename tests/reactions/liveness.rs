@@ -12,7 +12,7 @@ use host_tools::cell::{AlState, CellOptions, Fault as CellFault, Product, SiiFau
 /// Longest time from an acknowledgement to what follows from it, ms.
 const ANSWER_MAX_MS: u32 = 15_000;
 /// Longest time for the drawing, ms.
-const DRAWING_MAX_MS: u32 = 20_000;
+const DRAWING_MAX_MS: u32 = 40_000;
 /// How often an operator acknowledges before calling for help.
 const ACKNOWLEDGEMENTS_MAX: u32 = 3;
 

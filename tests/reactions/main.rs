@@ -13,6 +13,7 @@ mod identity;
 mod io;
 mod liveness;
 mod matrix;
+mod outputs;
 mod outside;
 mod robot;
 mod stale;

@@ -1,7 +1,7 @@
 //! Configuration of a drive in PREOP: process data of its mode, mode of operation, settings, and the layout.
 //!
-//! Some drives show a mode only when they have power. One whose process data show the mode only has to take it here, and
-//! is watched in each cycle; any other one has to show it in PREOP.
+//! A drive has to take its mode here. It need not show it yet: one whose process data show the mode is watched in each
+//! cycle, since some show it only when they have power; any other one has to show it in OP, before it gets power.
 //!
 //! Invariant: the layout follows the actual lists of the drive; a missing value and a wrong mode are always detected.
 
@@ -14,6 +14,9 @@ use crate::{
 use etherpen_ethercat::configure::PreOperational;
 use etherpen_ethercat::driver::{Direction, ProcessData, Setting, SlaveFactory};
 use etherpen_ethercat::error::BusError;
+
+/// Longest wait in OP for the mode that was set, ms.
+const MODE_TIMEOUT_MS: u32 = 500;
 
 /// Chooses a drive's process data, writes its mode and its settings, and makes the layout.
 ///
@@ -36,20 +39,42 @@ pub(crate) async fn used<F: SlaveFactory<Layout = ProcessLayout>, const MESSAGE:
 
     let outputs_taken = slave.assign(Direction::Outputs, &mode.outputs).await?;
     let inputs_taken = slave.assign(Direction::Inputs, &mode.inputs).await?;
-    let data = match twin {
+    let mut data = match twin {
         Some(twin) if outputs_taken && inputs_taken && twin.layout.mode == drive.mode => *twin,
         _ => lay_out(kind, drive.mode, mode, slave).await?,
     };
     let operation_mode = Setting::of(OPERATION_MODE, i32::from(mode.operation_mode).cast_unsigned(), 1);
-    let checked = match data.layout.shows_mode() {
-        true => operation_mode.verified(),
-        false => operation_mode.shown_by(OPERATION_MODE_DISPLAY),
-    };
-    slave.write(&checked).await?;
+    if data.layout.shows_mode() {
+        slave.write(&operation_mode.verified()).await?;
+    } else {
+        slave.write(&operation_mode).await?;
+        // A drive that does not show it yet is asked again in OP.
+        let shown = slave.dictionary().read(OPERATION_MODE_DISPLAY, 1).await;
+        data.layout.mode_shown = shown == Ok(u32::from(mode.operation_mode.cast_unsigned()));
+    }
     for setting in &settings {
         slave.write(setting).await?;
     }
     Ok(data)
+}
+
+/// Checks the mode of a drive in OP whose process data do not show it, and which did not show it in PREOP.
+///
+/// # Errors
+/// [`BusError::ReadBack`] when the drive shows another mode for [`MODE_TIMEOUT_MS`], or errors of the mailbox.
+pub(crate) async fn confirmed<const MESSAGE: usize>(
+    kind: DriveKind,
+    layout: &ProcessLayout,
+    slave: &mut PreOperational<'_, '_, MESSAGE>,
+) -> Result<(), BusError> {
+    let is_open = !layout.shows_mode() && !layout.mode_shown;
+    let Some(mode) = kind.mode(layout.mode).filter(|_| is_open) else {
+        return Ok(());
+    };
+    let expected = u32::from(mode.operation_mode.cast_unsigned());
+    slave
+        .await_value(OPERATION_MODE_DISPLAY, expected, 1, MODE_TIMEOUT_MS)
+        .await
 }
 
 /// Chooses the process data of a drive that the application does not use, in its first mode, and makes their layout.

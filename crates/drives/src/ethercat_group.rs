@@ -53,6 +53,16 @@ where
         &mut self.exchange
     }
 
+    /// The members at some places of the chain, one bit each.
+    #[cold]
+    fn members_at(&self, slaves: u32) -> u32 {
+        let places = self.places.iter().enumerate();
+        places.fold(0, |members, (number, place)| {
+            let is_there = place.is_some_and(|place| slaves >> (place.slave & 31) & 1 != 0);
+            members | u32::from(is_there) << (number & 31)
+        })
+    }
+
     #[cold]
     fn adopt(&mut self) {
         self.plan = Some(self.exchange.plan_number());
@@ -101,6 +111,14 @@ where
     fn read(&self, member: usize) -> Option<DriveInput> {
         let place = self.places.get(member)?.as_ref()?;
         place.layout.decode(self.exchange.image_at(place.inputs)?)
+    }
+
+    #[inline]
+    fn unconfirmed(&self) -> u32 {
+        match self.exchange.unconfirmed() {
+            0 => 0,
+            slaves => self.members_at(slaves),
+        }
     }
 
     #[inline(always)]

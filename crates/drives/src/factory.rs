@@ -88,6 +88,16 @@ where
         };
         configuration::used(device, settings, slave, twin).await.map(Some)
     }
+
+    async fn confirm<const MESSAGE: usize>(
+        _: &[DriveSettings; MEMBERS],
+        device: DriveKind,
+        _: u8,
+        slave: &mut PreOperational<'_, '_, MESSAGE>,
+        data: &ProcessData<Self>,
+    ) -> Result<(), BusError> {
+        configuration::confirmed(device, &data.layout, slave).await
+    }
 }
 
 #[cfg(test)]

@@ -77,6 +77,12 @@ pub trait IoGroup {
     /// This cycle's input of a member; `None` if none arrived.
     fn read(&self, member: usize) -> Option<DriveInput>;
 
+    /// Members in operation that have not confirmed the outputs of the last trigger, one bit each. A group without a
+    /// wire confirms them at once.
+    fn unconfirmed(&self) -> u32 {
+        0
+    }
+
     /// Sets the output of a member for the next trigger; does nothing while the member has no drive.
     fn write(&mut self, member: usize, output: &DriveOutput);
 

@@ -40,6 +40,8 @@ pub struct ProcessLayout {
     position: u8,
     status: u8,
     mode_display: u8,
+    /// Whether the drive has shown its mode already, outside the process data.
+    pub(crate) mode_shown: bool,
 }
 
 impl ProcessLayout {
@@ -242,6 +244,7 @@ impl LayoutBuilder {
                 .or_else(|error| internal.required().map_err(|_| error))?,
             status: status.required()?,
             mode_display: mode_display.offset,
+            mode_shown: false,
         })
     }
 }

@@ -83,6 +83,10 @@ pub struct Exchange<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usi
     output_valid: u32,
     /// AL status in this cycle's first telegram, if that has been received.
     al: AlStatus,
+    /// Watched members whose outputs come back in a telegram of their own, one bit each.
+    output_members: u32,
+    /// Those of them that have not confirmed the last output telegram.
+    unconfirmed: u32,
     clock_ns: Option<u64>,
     next_index: u8,
     /// Whether the next turn belongs to a message: the last acyclic datagram was a register request.
@@ -113,6 +117,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
             input_valid: 0,
             output_valid: 0,
             al: AlStatus::default(),
+            output_members: 0,
+            unconfirmed: 0,
             clock_ns: None,
             next_index: 0,
             message_is_next: false,
@@ -159,6 +165,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
             return &[];
         }
         self.counters.frames_sent = self.counters.frames_sent.saturating_add(1);
+        self.unconfirmed = self.output_members;
         let index = self.take_index();
         self.second.send(index)
     }
@@ -233,6 +240,13 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
         telegram
             .bytes_mut(place.start.into(), place.length.into())
             .unwrap_or(&mut [])
+    }
+
+    /// Members in operation, one bit for each place in the chain, that have not confirmed the last output telegram: its
+    /// reply has not come, or not with the expected working counter. 0 when outputs travel with the inputs.
+    #[inline]
+    pub fn unconfirmed(&self) -> u32 {
+        self.unconfirmed
     }
 
     /// This cycle's AL status of the slaves in use, and the number of all slaves that answered.
@@ -355,13 +369,15 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
         self.second.clear(&self.encapsulation, self.source);
         self.outputs = [OutputPlace::default(); SLAVES];
         self.inputs = [InputPlace::default(); SLAVES];
-        self.second_only = 0;
+        (self.second_only, self.output_members) = (0, 0);
         let kind = plan.exchange;
         let places = self.inputs.iter_mut().zip(&mut self.outputs);
         for ((number, slave), (inputs, outputs)) in (0..).zip(&plan.slaves).zip(places) {
             let (first, second) = (slave.first_window(kind), slave.second_window(kind));
             let bit = 1 << (number & 31);
             self.second_only |= if first.is_none() && second.is_some() { bit } else { 0 };
+            let is_member = slave.watched && slave.role.is_some();
+            self.output_members |= if is_member && second.is_some() { bit } else { 0 };
             let windows = [(first, &mut self.first), (second, &mut self.second)];
             for (window, telegram) in windows {
                 let Some(window) = window else { continue };
@@ -380,6 +396,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
                 }
             }
         }
+        self.unconfirmed &= self.output_members;
         self.first.push_common(plan.clock);
         self.first.finish(&self.encapsulation);
         self.second.finish(&self.encapsulation);
@@ -523,6 +540,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
         self.second.state = SlotState::Received;
         self.count(&answers, opened.mark);
         self.output_valid = answers.answered;
+        self.unconfirmed &= !answers.answered;
         Ok(Arrival::Output)
     }
 

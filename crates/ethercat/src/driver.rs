@@ -55,6 +55,21 @@ pub trait SlaveFactory: Copy + Default + Eq + Debug + 'static {
         slave: &mut PreOperational<'_, '_, MESSAGE>,
         twin: Option<&ProcessData<Self>>,
     ) -> impl Future<Output = Result<Option<ProcessData<Self>>, BusError>>;
+
+    /// Checks a member in OP, with the process data that it exchanges, before the application may use it: what a slave
+    /// shows only then. Does nothing by default.
+    ///
+    /// # Errors
+    /// Any error; the member then counts as one that did not reach OP.
+    fn confirm<const MESSAGE: usize>(
+        _settings: &Self::Settings,
+        _device: Self::Device,
+        _member: u8,
+        _slave: &mut PreOperational<'_, '_, MESSAGE>,
+        _data: &ProcessData<Self>,
+    ) -> impl Future<Output = Result<(), BusError>> {
+        async { Ok(()) }
+    }
 }
 
 /// Whether a slave has to be asked for its device type to find its driver: no driver knows its product, and it supports

@@ -2,6 +2,7 @@
 //!
 //! Invariant: every event stands alone; if one is lost the others remain valid.
 
+use super::clock::Settling;
 use super::driver::{Direction, Entry, SlaveFactory};
 use super::error::BusError;
 use super::plan::{ExchangeKind, VALUES_MAX};
@@ -69,6 +70,8 @@ pub struct BusSetup<F: SlaveFactory> {
     pub clocks: bool,
     /// Time of SYNC0 after the input telegram's frame has passed the reference clock, us, for slaves that use SYNC0.
     pub sync_shift_us: u16,
+    /// When a slave's clock has settled.
+    pub settling: Settling,
 }
 
 impl<F: SlaveFactory> Default for BusSetup<F> {
@@ -85,6 +88,7 @@ impl<F: SlaveFactory> Default for BusSetup<F> {
             watchdog_ms: 10,
             clocks: false,
             sync_shift_us: 500,
+            settling: Settling::default(),
         }
     }
 }
@@ -214,6 +218,16 @@ pub enum BusEvent {
         step: Step,
         /// Why it failed.
         error: BusError,
+    },
+    /// A slave answers, but its processor does not read the request for a state yet: it may be starting up. The step
+    /// goes on.
+    Waiting {
+        /// Place in the chain, from 0.
+        position: u8,
+        /// The step that waits.
+        step: Step,
+        /// Time waited, ms.
+        waited_ms: u32,
     },
     /// Bring-up or repair failed.
     Refused {

@@ -10,12 +10,13 @@ use etherpen::drives::cia402::{DriveState, StatusWord};
 use etherpen::ethercat::state::{al_code_hint, al_code_text};
 use etherpen::messages::{SlaveStatus, Status};
 use serde::Serialize;
+use std::borrow::Cow;
 
 /// A status as shown on the page.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct StatusView {
     mode: &'static str,
-    text: &'static str,
+    text: Cow<'static, str>,
     fault: Option<String>,
     /// Whether the robot is stopped because of a requested stop.
     stopped: bool,
@@ -254,6 +255,7 @@ pub(crate) mod tests {
             recovering: false,
             interlock: None,
             port: PortState::default(),
+            waiting_for: None,
             slaves: FixedVec::from_slice(&[slave(8, 0, 0x0637), slave(0x14, 0x1B, 0x0218)]).unwrap(),
             io: FixedVec::new(),
         }

@@ -305,6 +305,7 @@ impl Rig {
                 recovering: false,
                 interlock: None,
                 port: PortState::Unknown,
+                waiting_for: None,
                 referenced: self.referenced,
                 reference_lost: false,
                 increments: self.increments,

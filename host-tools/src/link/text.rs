@@ -12,6 +12,7 @@ use etherpen::messages::{Command, ConfigRefusal, Status};
 use etherpen::motion::{Outside, RefusalReason};
 use etherpen::robots::{KinematicsError, Words};
 pub use faults::fault;
+use std::borrow::Cow;
 
 /// An operating mode in a few words.
 pub fn mode(mode: Mode) -> &'static str {
@@ -30,10 +31,12 @@ pub fn mode(mode: Mode) -> &'static str {
 }
 
 /// The state of the firmware in a few words: its mode, and whether it is recovering from a fault.
-pub fn doing(status: &Status) -> &'static str {
-    match status.recovering {
-        true => "the fault was acknowledged: bringing back the bus and the drives",
-        false => mode(status.mode),
+pub fn doing(status: &Status) -> Cow<'static, str> {
+    let waits = status.recovering || status.mode == Mode::BusConfiguring;
+    match (status.waiting_for.filter(|_| waits), status.recovering) {
+        (Some(slave), _) => format!("waiting for slave {}, which is still starting up", one(slave)).into(),
+        (None, true) => "the fault was acknowledged: bringing back the bus and the drives".into(),
+        (None, false) => mode(status.mode).into(),
     }
 }
 

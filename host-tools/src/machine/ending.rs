@@ -106,7 +106,7 @@ pub(crate) fn state_text(snapshot: &Snapshot) -> String {
                 status.override_percent
             )
         }
-        _ => text::doing(status).to_owned(),
+        _ => text::doing(status).into_owned(),
     }
 }
 

@@ -257,6 +257,7 @@ fn firmware(listener: &TcpListener) {
             recovering: false,
             interlock: None,
             port: Default::default(),
+            waiting_for: None,
             referenced: false,
             reference_lost: false,
             increments: [None; 4],

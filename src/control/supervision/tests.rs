@@ -3,6 +3,7 @@ use super::*;
 fn well() -> Observation {
     Observation {
         valid: [true; AXES],
+        unconfirmed: 0,
         following_error_rad: [0.0; AXES],
         output_rad_s: [0.0; AXES],
         status_word: [0x0637; AXES],
@@ -227,5 +228,45 @@ fn an_unexpected_state_waits_for_its_name_only_where_terminals_are_spared() {
     for cycle in 0..10 * most {
         let seen = if cycle % most == 0 { well() } else { spared };
         assert_eq!(supervision.step(&axes, &bus, &seen), None, "cycle {cycle}");
+    }
+}
+
+#[test]
+fn outputs_that_no_drive_confirms_stop_the_robot_within_the_blind_limit_and_one_telegram_never_does() {
+    let limit_ms = Bus::default().blind_max_ms;
+    let deaf = |unconfirmed| Observation { unconfirmed, ..well() };
+    for (unconfirmed, axis) in [(0b1111, None), (0b0100, Some(2))] {
+        let seen = deaf(unconfirmed);
+        assert_eq!(run(usize::from(limit_ms) - 1, &seen), None);
+        let lost = Fault::OutputsLost {
+            axis,
+            lost_ms: limit_ms,
+            limit_ms,
+        };
+        assert_eq!(run(limit_ms.into(), &seen), Some(lost));
+        assert_eq!(run(1_000, &Observation { power: false, ..seen }), None);
+    }
+    let (axes, bus) = (
+        [Axis::default(); AXES],
+        Bus {
+            blind_max_ms: 1,
+            ..Bus::default()
+        },
+    );
+    let mut supervision = Supervision::new();
+    for _ in 0..100 {
+        assert_eq!(supervision.step(&axes, &bus, &deaf(0b1111)), None);
+        assert_eq!(supervision.step(&axes, &bus, &well()), None);
+    }
+    // Gaps of the inputs of one axis and the outputs of another do not add up.
+    let mut supervision = Supervision::new();
+    let bus = Bus::default();
+    for _ in 0..100 {
+        for _ in 0..limit_ms - 1 {
+            assert_eq!(supervision.step(&axes, &bus, &deaf(0b0001)), None);
+        }
+        for _ in 0..limit_ms - 1 {
+            assert_eq!(supervision.step(&axes, &bus, &deaf(0b0010)), None);
+        }
     }
 }

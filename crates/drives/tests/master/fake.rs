@@ -34,6 +34,8 @@ pub(crate) struct FakeSlave {
     pub(crate) boots: u32,
     /// Its alias.
     pub(crate) alias: u16,
+    /// Lowest AL state in which it shows the mode that was set.
+    pub(crate) shows_mode_in: u8,
     /// Number of its identification switches.
     pub(crate) switch: Option<u16>,
     /// Whether its processor reads the SII on the way to PREOP.
@@ -69,6 +71,7 @@ impl FakeSlave {
             emulated: false,
             boots: 0,
             alias: 0,
+            shows_mode_in: 0,
             switch: None,
             reads_sii: false,
             fmmus: 16,
@@ -275,6 +278,12 @@ impl FakeSlave {
                 } else {
                     (object.index, object.sub)
                 };
+                let state = self.memory[usize::from(register::AL_STATUS)] & 0x0F;
+                if object.index == 0x6061 && state < self.shows_mode_in {
+                    let length = Sdo::UploadExpedited { object, data: &[0] }.emit(&mut bytes);
+                    bytes.truncate(length.unwrap());
+                    return bytes;
+                }
                 match self.objects.get(&shown) {
                     Some(data) if data.len() <= 4 => Sdo::UploadExpedited { object, data }.emit(&mut bytes),
                     // The first ten bytes here, the others in a segment.

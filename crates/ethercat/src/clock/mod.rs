@@ -463,25 +463,44 @@ pub async fn difference_ns<const MESSAGE: usize>(
     Ok(register::time_difference_ns(read_u32(&bytes, 0)))
 }
 
-/// Waits until a slave's clock agrees with the reference to within [`DIFFERENCE_MAX_NS`]; the cyclic frames have to
-/// carry the time datagram meanwhile.
+/// How near to the reference a slave's clock has to come before the slave goes to OP, and how long this may take.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Settling {
+    /// Largest difference, ns.
+    pub difference_ns: u32,
+    /// Longest wait, ms.
+    pub wait_ms: u32,
+}
+
+impl Default for Settling {
+    /// [`DIFFERENCE_MAX_NS`] within [`DIFFERENCE_TIMEOUT_MS`].
+    fn default() -> Self {
+        Self {
+            difference_ns: DIFFERENCE_MAX_NS,
+            wait_ms: DIFFERENCE_TIMEOUT_MS,
+        }
+    }
+}
+
+/// Waits until a slave's clock has settled; the cyclic frames have to carry the time datagram meanwhile.
 ///
 /// # Errors
-/// [`BusError::ClockDifference`] after [`DIFFERENCE_TIMEOUT_MS`], or as [`AcyclicPort::send_until_counted`].
+/// [`BusError::ClockDifference`] after the longest wait, or as [`AcyclicPort::send_until_counted`].
 pub async fn await_agreement<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
+    settling: Settling,
 ) -> Result<i32, BusError> {
     let started_ms = port.now_ms();
     loop {
         let actual_ns = difference_ns(port, station).await?;
-        if actual_ns.unsigned_abs() <= DIFFERENCE_MAX_NS {
+        if actual_ns.unsigned_abs() <= settling.difference_ns {
             return Ok(actual_ns);
         }
         let waited_ms = port.now_ms().wrapping_sub(started_ms);
-        if waited_ms > DIFFERENCE_TIMEOUT_MS {
+        if waited_ms > settling.wait_ms {
             return Err(BusError::ClockDifference {
-                expected_ns: DIFFERENCE_MAX_NS,
+                expected_ns: settling.difference_ns,
                 actual_ns,
                 waited_ms,
             });

@@ -425,7 +425,10 @@ fn a_clock_that_does_not_follow_is_an_error_with_its_difference() {
     // Half a percent fast and without a control loop: 32 frames later it is far away.
     let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 5_000_000), (WIDE, 42, 0), (WIDE, 7, 0)]);
     chain.set_up();
-    let result = chain.run(async |mut port: AcyclicPort<'static, 64>| await_agreement(&mut port, STATIONS[1]).await);
+    let settled = |station, settling| {
+        async move |mut port: AcyclicPort<'static, 64>| await_agreement(&mut port, station, settling).await
+    };
+    let result = chain.run(settled(STATIONS[1], Settling::default()));
     match result {
         Err(BusError::ClockDifference {
             expected_ns: DIFFERENCE_MAX_NS,
@@ -437,6 +440,15 @@ fn a_clock_that_does_not_follow_is_an_error_with_its_difference() {
         }
         other => panic!("{other:?}"),
     }
-    let agreed = chain.run(async |mut port: AcyclicPort<'static, 64>| await_agreement(&mut port, STATIONS[2]).await);
-    assert_eq!(agreed, Ok(0));
+    assert_eq!(chain.run(settled(STATIONS[2], Settling::default())), Ok(0));
+    let wait_ms = 50;
+    let difference_ns = u32::MAX;
+    let near = chain.run(settled(STATIONS[1], Settling { difference_ns, wait_ms }));
+    assert!(near.is_ok(), "{near:?}");
+    let difference_ns = 10;
+    let far = chain.run(settled(STATIONS[1], Settling { difference_ns, wait_ms }));
+    assert!(
+        matches!(far, Err(BusError::ClockDifference { expected_ns: 10, waited_ms, .. }) if waited_ms < 60),
+        "{far:?}"
+    );
 }

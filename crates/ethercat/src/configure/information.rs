@@ -291,6 +291,23 @@ pub async fn find_category<const MESSAGE: usize>(
     Ok(None)
 }
 
+/// Flags of the general category of a slave's SII, see [`General::flags`]; 0 without that category.
+///
+/// # Errors
+/// As [`fixed_part`].
+pub async fn general_flags<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+) -> Result<u8, BusError> {
+    let general = find_category(port, station, sii::CATEGORY_GENERAL).await?;
+    let whole = general.filter(|general| usize::from(general.words) * 2 > General::FLAGS_AT);
+    let Some(general) = whole else { return Ok(0) };
+    let mut word = [0; 2];
+    let at = general.word.saturating_add((General::FLAGS_AT / 2) as u16);
+    read_words(port, station, at, &mut word).await?;
+    Ok(read_u8(&word, General::FLAGS_AT % 2))
+}
+
 /// Alias, switches and name of a slave, for display.
 #[derive(Clone, Debug, Default)]
 pub struct Summary {
@@ -320,10 +337,9 @@ pub async fn summary<const MESSAGE: usize>(
     let Some(general) = find_category(port, station, sii::CATEGORY_GENERAL).await? else {
         return Ok(summary);
     };
-    let mut names = [0; General::FLAGS_AT + 1];
+    let mut names = [0; 4];
     read_words(port, station, general.word, &mut names).await?;
-    let has_flags = usize::from(general.words) * 2 > General::FLAGS_AT;
-    summary.has_switch = has_flags && read_u8(&names, General::FLAGS_AT) & sii::FLAG_IDENTITY_IN_AL_STATUS != 0;
+    summary.has_switch = general_flags(port, station).await? & sii::FLAG_IDENTITY_IN_AL_STATUS != 0;
     if let Some(strings) = find_category(port, station, sii::CATEGORY_STRINGS).await? {
         summary.name = string(port, station, strings, read_u8(&names, 3)).await?;
     }

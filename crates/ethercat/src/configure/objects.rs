@@ -143,14 +143,6 @@ impl Setting {
         off == 0 || self.rounded && off <= expected / ROUNDING_SHARE
     }
 
-    /// This setting, read back from another object.
-    pub const fn shown_by(self, object: Object) -> Self {
-        Self {
-            verify: Some(object),
-            ..self
-        }
-    }
-
     /// This setting for an object that not every device of the type has.
     pub const fn optional(self) -> Self {
         Self { optional: true, ..self }

@@ -135,6 +135,33 @@ impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
         })
     }
 
+    /// Waits until an object of `length` bytes has a value.
+    ///
+    /// # Errors
+    /// [`BusError::ReadBack`] after `wait_ms`, or errors of the mailbox.
+    pub async fn await_value(
+        &mut self,
+        object: Object,
+        expected: u32,
+        length: u8,
+        wait_ms: u32,
+    ) -> Result<(), BusError> {
+        let started_ms = self.port.now_ms();
+        loop {
+            let actual = self.dictionary().read(object, length).await?;
+            if actual == expected {
+                return Ok(());
+            }
+            if self.port.now_ms().wrapping_sub(started_ms) > wait_ms {
+                return Err(BusError::ReadBack {
+                    object,
+                    expected,
+                    actual,
+                });
+            }
+        }
+    }
+
     /// Passes the entries of one direction's actual process data to `take`, in their order. `choice` replaces lists
     /// that the device does not have.
     ///

@@ -10,7 +10,7 @@ use super::super::coe::{DEVICE_TYPE, ObjectDictionary};
 use super::super::configure::discovery::STATION_BASE;
 use super::super::configure::own_data::Chosen;
 use super::super::configure::{PreOperational, discovery, information, own_data};
-use super::super::cyclic::FoundValue;
+use super::super::cyclic::{ExchangeKind, FoundValue};
 use super::super::driver::{ProcessData, SlaveFactory, is_asked_for_device_type};
 use super::super::error::BusError;
 use super::super::event::{BusEvent, CHOSEN_MAX, Step, WantedValue};
@@ -19,7 +19,7 @@ use super::super::process_data;
 use super::super::slave::{Condition, Slave};
 use super::super::state::{self, AlReport, AlState};
 use super::super::wire::sii::PROTOCOL_COE;
-use super::super::wire::{Address, Command, register};
+use super::super::wire::{Address, Command, register, sii};
 use super::Failure;
 use super::bus::Bus;
 use heapless::Vec;
@@ -44,6 +44,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     pub(super) async fn find_all(&mut self) -> Result<(), Failure> {
         self.slaves.clear();
         self.values = Default::default();
+        self.exchange = self.setup.exchange;
         self.clocks = BusClocks::default();
         self.send_plan().await;
         let found = self.discover().await.map_err(Failure::bus(Step::Discover))?;
@@ -61,8 +62,26 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         }
         self.check_members().await?;
         self.choose_terminals();
+        self.choose_exchange().await?;
         self.introduce_all().await;
         self.send_plan().await;
+        Ok(())
+    }
+
+    /// Exchanges inputs and outputs apart if they are to travel together, but a member does not support LRW.
+    async fn choose_exchange(&mut self) -> Result<(), Failure> {
+        if self.setup.exchange != ExchangeKind::Combined {
+            return Ok(());
+        }
+        let Self { port, slaves, .. } = self;
+        for slave in slaves.iter().filter(|slave| slave.member.is_some()) {
+            let flags = information::general_flags(port, slave.station()).await;
+            let flags = flags.map_err(Failure::of(slave.position, Step::Identify))?;
+            if flags & sii::FLAG_NO_LRW != 0 {
+                self.exchange = ExchangeKind::Split;
+                return Ok(());
+            }
+        }
         Ok(())
     }
 
@@ -176,8 +195,15 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         self.generation = self.generation.wrapping_add(1);
         slave.generation = self.generation;
         slave.emergency = None;
-        self.reach_pre_operational(number).await?;
-        self.configure(number).await
+        let result = match self.reach_pre_operational(number).await {
+            Ok(()) => self.configure(number).await,
+            failed => failed,
+        };
+        if result.is_err() {
+            // Whatever the slave does now, it may need its memory.
+            information::give_to_slave(&mut self.port, STATION_BASE.wrapping_add(number as u16)).await;
+        }
+        result
     }
 
     /// Takes a slave to a state, from the state before it or from a higher one. While the slave's processor does not read
@@ -197,7 +223,13 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             if !matches!(failure.error, BusError::RequestUnread { .. }) || waited_ms > UNREAD_TIMEOUT_MS {
                 return Err(failure);
             }
-            self.refuse(failure).await;
+            let position = position as u8;
+            self.emit(BusEvent::Waiting {
+                position,
+                step,
+                waited_ms,
+            })
+            .await;
         }
     }
 
@@ -343,11 +375,12 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         result.map_err(at(Step::CyclicData))?;
         // The clock that is distributed is compared with none.
         if self.clocks.has_clock(usize::from(slave.position)) && self.distributor() != Some(number) {
-            let result = clock::await_agreement(&mut self.port, slave.station()).await;
+            let result = clock::await_agreement(&mut self.port, slave.station(), self.setup.settling).await;
             result.map_err(at(Step::Clocks))?;
         }
         self.change_state(number, AlState::Operational, Step::Operational)
             .await?;
+        self.confirm(number).await.map_err(at(Step::Objects))?;
         if let Some(slave) = self.slaves.get_mut(number) {
             slave.condition = Condition::Operational;
             slave.report = AlReport {
@@ -356,6 +389,22 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             };
         }
         Ok(())
+    }
+
+    /// Has the driver of a member in OP check what could not be checked before.
+    async fn confirm(&mut self, number: usize) -> Result<(), BusError> {
+        let Self {
+            port, slaves, setup, ..
+        } = self;
+        let Some(slave) = slaves.get_mut(number) else {
+            return Ok(());
+        };
+        let (Some(data), Some(device), Some(member)) = (slave.process_data, slave.device, slave.member) else {
+            return Ok(());
+        };
+        let station = slave.station();
+        let mut there = PreOperational::new(port, station, &mut slave.mailbox);
+        F::confirm(&setup.settings, device, member, &mut there, &data).await
     }
 
     /// Waits until a slave answers at its logical addresses and outputs have been sent for a while.

@@ -5,7 +5,7 @@
 
 use super::super::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
 use super::super::clock::{self, BusClocks};
-use super::super::cyclic::{CyclicPlan, CyclicSlave, FoundValue, PlanError, ReferenceClock, VALUES_MAX};
+use super::super::cyclic::{CyclicPlan, CyclicSlave, ExchangeKind, FoundValue, PlanError, ReferenceClock, VALUES_MAX};
 use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
 use super::super::event::{BusEvent, BusSetup};
@@ -33,6 +33,8 @@ pub(super) struct Bus<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     plans: Producer<'a, CyclicPlan<F, SLAVES>>,
     events: Producer<'a, BusEvent>,
     pub(super) setup: BusSetup<F>,
+    /// When inputs are read and outputs are written: as the setup says, unless a member cannot.
+    pub(super) exchange: ExchangeKind,
     pub(super) slaves: Vec<Slave<F>, SLAVES>,
     /// Where the values are that the application wants.
     pub(super) values: [Option<FoundValue>; VALUES_MAX],
@@ -62,6 +64,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             plans,
             events,
             setup: BusSetup::default(),
+            exchange: ExchangeKind::default(),
             slaves: Vec::new(),
             values: [None; VALUES_MAX],
             clocks: BusClocks::default(),
@@ -202,7 +205,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             al_bits_ignored: ignored.fold(register::AL_IDENTIFY_BIT, |bits, slave| bits | slave)
                 & !(AlState::Operational as u16),
             slaves: slaves.collect(),
-            exchange: self.setup.exchange,
+            exchange: self.exchange,
             clock: self.reference_clock(),
             values: self.values,
         }
@@ -248,7 +251,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         });
         let mut plan = CyclicPlan {
             slaves: slaves.collect(),
-            exchange: self.setup.exchange,
+            exchange: self.exchange,
             al_bits_ignored: STATUS_MASK,
             clock: self.reference_clock(),
             values: [None; VALUES_MAX],

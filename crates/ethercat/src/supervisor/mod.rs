@@ -15,8 +15,8 @@
 mod bring_up;
 mod bus;
 mod diagnosis;
-mod identity;
 mod files;
+mod identity;
 mod inbox;
 mod objects;
 mod repair;

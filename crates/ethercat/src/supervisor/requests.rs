@@ -64,7 +64,11 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 Ok(ServiceReply::Done)
             }
             ServiceRequest::Bus => Ok(ServiceReply::Bus(self.bus_info(seen, running))),
-            ServiceRequest::Slave { .. } => Ok(ServiceReply::Slave(self.slave_info(number).await?)),
+            ServiceRequest::Slave { .. } => {
+                let info = self.slave_info(number).await;
+                self.return_memory(number).await;
+                Ok(ServiceReply::Slave(info?))
+            }
             ServiceRequest::SetState { state, .. } => Ok(ServiceReply::State(self.set_state(number, *state).await?)),
             ServiceRequest::Upload {
                 object,
@@ -92,7 +96,11 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 self.entry_description(number, *object).await
             }
             ServiceRequest::Registers { address, length, .. } => self.registers(station, *address, *length).await,
-            ServiceRequest::Information { word, length, .. } => self.information(station, *word, *length).await,
+            ServiceRequest::Information { word, length, .. } => {
+                let answer = self.information(station, *word, *length).await;
+                self.return_memory(number).await;
+                answer
+            }
             ServiceRequest::Errors { .. } => {
                 self.read_ports().await;
                 Ok(ServiceReply::Errors(self.errors(number).await?))
@@ -103,6 +111,15 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 self.forget_errors();
                 Ok(ServiceReply::Done)
             }
+        }
+    }
+
+    /// Gives the SII back to a slave that has had it since SAFEOP.
+    async fn return_memory(&mut self, number: usize) {
+        let Some(slave) = self.slaves.get(number) else { return };
+        let state = slave.report.state().unwrap_or(AlState::Init);
+        if matches!(state, AlState::SafeOperational | AlState::Operational) {
+            information::give_to_slave(&mut self.port, slave.station()).await;
         }
     }
 

@@ -4,6 +4,7 @@
 //! below OP stays there until it is requested to go up again, or the bus is repaired or restarted.
 
 use super::super::coe::ObjectDictionary;
+use super::super::configure::information;
 use super::super::diagnostics::ServiceError;
 use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
@@ -113,6 +114,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         }
         if from != Some(AlState::SafeOperational) {
             self.ready_mailbox(number).await?;
+            information::take(&mut self.port, station).await;
             self.configure(number).await?;
         }
         if target == AlState::SafeOperational {

@@ -16,6 +16,7 @@ use etherpen::messages::{Counters, Sample, SlaveStatus, Status};
 use etherpen::motion::Pen;
 use etherpen::robots::{AXES, JointAngles, Kinematics};
 use serde::Serialize;
+use std::borrow::Cow;
 
 /// One drive.
 #[derive(Debug, Serialize)]
@@ -37,7 +38,7 @@ struct Answer<'a> {
     board: Option<String>,
     firmware: Option<String>,
     mode: Option<Mode>,
-    mode_text: Option<&'static str>,
+    mode_text: Option<Cow<'static, str>>,
     /// Whether the fault was acknowledged, and bus and drives are being brought back.
     recovering: Option<bool>,
     fault: Option<String>,
@@ -136,7 +137,7 @@ fn print(answer: &Answer, snapshot: &Snapshot) {
     if let Some(owner) = answer.owner {
         println!("in use by {owner}");
     }
-    if let Some(mode) = answer.mode_text {
+    if let Some(mode) = &answer.mode_text {
         println!("mode: {mode}");
     }
     if let Some(fault) = &answer.fault {

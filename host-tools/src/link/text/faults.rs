@@ -17,6 +17,18 @@ pub fn fault(fault: &Fault) -> String {
         Fault::Blind { blind_ms, limit_ms } => format!(
             "no valid positions for {blind_ms} ms (limit {limit_ms} ms); check the bus cable and the drives' supply"
         ),
+        Fault::OutputsLost {
+            axis,
+            lost_ms,
+            limit_ms,
+        } => format!(
+            "{} confirmed no commands for {lost_ms} ms (limit {limit_ms} ms); check the bus cables and look for damaged \
+             frames (etherpen bus errors), then acknowledge",
+            match axis {
+                Some(axis) => format!("the drive of axis {}", one(axis)),
+                None => "the drives".to_owned(),
+            }
+        ),
         Fault::SlaveLost { slave } => format!(
             "slave {} stopped answering; check its supply and the cable before it, then acknowledge",
             one(slave)
