@@ -12,6 +12,7 @@ mod feedback_soak;
 mod liveness;
 mod matrix;
 mod outside;
+mod position;
 mod robot;
 mod stale;
 mod unreferenced;

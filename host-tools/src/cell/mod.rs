@@ -37,7 +37,7 @@ pub use physics::{
 
 use crate::random::Random;
 use calibration::Residues;
-use etherpen::config::Config;
+use etherpen::config::{AxisMode, Config};
 use etherpen::robots::{AXES, JointAngles, JointVelocities, Position};
 use etherpen_segment::{Segment, SegmentOptions};
 use joint::Gear;
@@ -57,8 +57,8 @@ pub struct CellOptions {
     pub start_offset_max_rad: f64,
     /// Script of the faults.
     pub faults: Script,
-    /// The slaves in the order of the chain; empty for an AX2000 for each configured drive. Drives belong to the
-    /// configuration's axes in order; further drives move nothing.
+    /// The slaves in the order of the chain; empty for [`usual_slaves`]. Drives belong to the configuration's axes in order;
+    /// further drives move nothing.
     pub slaves: Vec<SlaveKind>,
     /// What is set on each slave; slaves beyond them have the default options.
     pub places: Vec<PlaceOptions>,
@@ -66,6 +66,18 @@ pub struct CellOptions {
     pub clocks: ClockOptions,
     /// Busy time of a command to an information memory (SII), microseconds.
     pub sii_busy_us: u64,
+}
+
+/// A drive for each configured one, of the type that has the axis's mode: an AX2000, or a CiA 402 drive for position mode.
+#[must_use]
+pub fn usual_slaves(config: &Config) -> Vec<SlaveKind> {
+    let mode = |axis: usize| config.axes.get(axis).map(|axis| axis.mode);
+    let kind = |axis| match mode(axis) {
+        Some(AxisMode::Position) => SlaveKind::Cia402,
+        _ => SlaveKind::Ax2000,
+    };
+    let drives = usize::from(config.bus.drives).min(config.axes.len());
+    (0..drives).map(kind).collect()
 }
 
 impl Default for CellOptions {
@@ -132,9 +144,9 @@ impl Cell {
     #[must_use]
     pub fn new(config: &Config, options: CellOptions) -> Self {
         let mut random = Random::new(options.seed);
-        let slaves = match options.slaves.len() {
-            0 => vec![SlaveKind::Ax2000; usize::from(config.bus.drives).min(config.axes.len())],
-            _ => options.slaves.clone(),
+        let slaves = match options.slaves.is_empty() {
+            true => usual_slaves(config),
+            false => options.slaves.clone(),
         };
         let residues = Residues::new(&config.geometry, &options.physics.calibration, options.seed);
         let mut commissioning = Commissioning::new(config, &options.physics, options.seed);
