@@ -1,13 +1,17 @@
 //! A generic CiA 402 servo drive with variable process-data mapping.
 //!
-//! Vendor and product number belong to this project, not to a manufacturer. Modes: cyclic synchronous position (8),
+//! Vendor and product number belong to this project, not to a manufacturer. Modes: homing (6), cyclic synchronous
+//! position (8),
 //! velocity (9) and torque (10). Velocity is in the drive's velocity digits, torque in 1/1000 of the rated torque,
 //! position in increments over all turns. In position mode the drive interpolates between the targets and trips on too
 //! great a following error. Objects: CiA 402; mapping: CiA 301, and 0x1C12, 0x1C13.
 
 use crate::devices::servo_device::Model;
+use crate::drive::homing::is_method;
 use crate::drive::servo::Servo;
-use crate::drive::{MODE_CYCLIC_POSITION, MODE_CYCLIC_TORQUE, MODE_CYCLIC_VELOCITY, Profile, RATED_TORQUE_MNM};
+use crate::drive::{
+    MODE_CYCLIC_POSITION, MODE_CYCLIC_TORQUE, MODE_CYCLIC_VELOCITY, MODE_HOMING, Profile, RATED_TORQUE_MNM,
+};
 use crate::eeprom::sii;
 use crate::eeprom::windows::Windows;
 use crate::mailbox::abort::Abort;
@@ -38,8 +42,8 @@ const WINDOWS: Windows = Windows {
     outputs: 0x1400,
     inputs: 0x1600,
 };
-/// Modes 8, 9 and 10: bits 7 to 9 of object 0x6502.
-const SUPPORTED_MODES: i64 = 0x0380;
+/// Modes 6, 8, 9 and 10: bits 5 and 7 to 9 of object 0x6502.
+const SUPPORTED_MODES: i64 = 0x03A0;
 
 const OBJECTS: &[ObjectRow] = &[
     variable(
@@ -130,6 +134,29 @@ const OBJECTS: &[ObjectRow] = &[
         &[(0, "Following error time out", Unsigned16, READ_WRITE, Live)],
     ),
     variable(
+        0x607C,
+        "Home offset",
+        &[(0, "Home offset", Integer32, READ_WRITE, Live)],
+    ),
+    variable(
+        0x6098,
+        "Homing method",
+        &[(0, "Homing method", Integer8, READ_WRITE, Live)],
+    ),
+    record(
+        0x6099,
+        "Homing speeds",
+        &[
+            (1, "Speed during search for switch", Unsigned32, READ_WRITE, Live),
+            (2, "Speed during search for zero", Unsigned32, READ_WRITE, Live),
+        ],
+    ),
+    variable(
+        0x609A,
+        "Homing acceleration",
+        &[(0, "Homing acceleration", Unsigned32, READ_WRITE, Live)],
+    ),
+    variable(
         0x60B1,
         "Velocity offset",
         &[(0, "Velocity offset", Integer32, READ_WRITE | RX, Live)],
@@ -146,6 +173,11 @@ const OBJECTS: &[ObjectRow] = &[
         0x60F4,
         "Following error actual value",
         &[(0, "Following error actual value", Integer32, READ | TX, Live)],
+    ),
+    variable(
+        0x60FD,
+        "Digital inputs",
+        &[(0, "Digital inputs", Unsigned32, READ | TX, Live)],
     ),
     variable(
         0x60FF,
@@ -224,11 +256,17 @@ fn get(servo: &Servo, index: u16, sub: u8) -> Option<i64> {
         0x6071 => demand.torque_digits.into(),
         0x6077 => shown.torque.into(),
         0x607A => demand.position.unwrap_or(shown.position).into(),
+        0x607C => drive.homing.offset.into(),
         0x6085 => drive.quick_stop_increments_s2.into(),
+        0x6098 => drive.homing.method.into(),
+        0x6099 if sub == 1 => drive.homing.switch_speed.into(),
+        0x6099 => drive.homing.zero_speed.into(),
+        0x609A => drive.homing.acceleration.into(),
         0x60B1 => demand.velocity_offset.unwrap_or(0).into(),
         0x60C2 if sub == 1 => drive.position_loop.period_number.into(),
         0x60C2 => drive.position_loop.period_index.into(),
         0x60F4 => drive.position_loop.error(drive.position()).into(),
+        0x60FD => drive.digital_inputs().into(),
         0x60FF => demand.velocity_digits.into(),
         _ => return None,
     })
@@ -236,9 +274,17 @@ fn get(servo: &Servo, index: u16, sub: u8) -> Option<i64> {
 
 fn set(servo: &mut Servo, index: u16, sub: u8, value: i64) -> Result<(), Abort> {
     let position_loop = &mut servo.drive.position_loop;
+    let homing = &mut servo.drive.homing;
+    let unsigned = u32::try_from(value).map_err(|_| Abort::VALUE);
     match (index, value) {
+        (0x607C, _) => homing.offset = value as i32,
+        (0x6098, method) if is_method(method) => homing.method = method as i8,
+        (0x6098, _) => return Err(Abort::VALUE),
+        (0x6099, _) if sub == 1 => homing.switch_speed = unsigned?,
+        (0x6099, _) => homing.zero_speed = unsigned?,
+        (0x609A, _) => homing.acceleration = unsigned?,
         (0x6060, mode) => match i8::try_from(mode) {
-            Ok(mode @ (0 | MODE_CYCLIC_POSITION | MODE_CYCLIC_VELOCITY | MODE_CYCLIC_TORQUE)) => {
+            Ok(mode @ (0 | MODE_HOMING | MODE_CYCLIC_POSITION | MODE_CYCLIC_VELOCITY | MODE_CYCLIC_TORQUE)) => {
                 servo.drive.mode = mode;
             }
             _ => return Err(Abort::VALUE),
