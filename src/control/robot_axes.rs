@@ -350,9 +350,9 @@ impl AxisState {
     /// finite.
     fn increments_at(&self, angle_rad: f64) -> Option<i32> {
         let ahead = self.zero? + angle_rad * self.increments_per_rad - float(self.position);
-        ahead
-            .is_finite()
-            .then(|| self.raw.wrapping_add(libm::round(ahead) as i32))
+        // Rounds to the nearest integer: the conversion truncates and saturates.
+        let rounded = (ahead + if ahead < 0.0 { -0.5 } else { 0.5 }) as i32;
+        ahead.is_finite().then(|| self.raw.wrapping_add(rounded))
     }
 }
 

@@ -1,16 +1,20 @@
-//! Homing by the drive over the bus: the sequence of `drives::homing` against a virtual CiA 402 drive. The truth is the
-//! motor.
+//! Homing by the drive and its touch probe over the bus: `drives::homing` and `drives::probe` against a virtual CiA 402
+//! drive. The truth is the motor.
 
 use crate::rig::{Rig, idle_rig_of};
 use core::f64::consts::TAU;
 use core::task::{Context, Waker};
 use etherpen::config::Config;
+use etherpen::control::robot_axes::{AxisCommand, Demand};
 use etherpen::drives::DriveOutput;
-use etherpen::drives::cia402::{ControlWord, DriveState, StatusWord};
+use etherpen::drives::cia402::{ControlWord, DriveState, DriveTarget, StatusWord};
 use etherpen::drives::homing::{
     HOMING_MODE, Homing, HomingFailure, HomingMethod, HomingOutput, HomingProgress, HomingSettings,
 };
 use etherpen::drives::io::{IoGroup, IoTrigger};
+use etherpen::drives::probe::{
+    PROBE_FUNCTION, PROBE_STATUS, Probe, ProbeEdge, ProbeNumber, ProbeSettings, ProbeSource,
+};
 use etherpen::ethercat::diagnostics::{Piece, ServiceReply, ServiceRequest};
 use etherpen::ethercat::wire::coe::Object;
 use etherpen::robots::AXES;
@@ -162,4 +166,55 @@ fn a_search_without_an_end_is_timed_out_and_a_fault_ends_it_at_rest() {
         "{status:?}"
     );
     assert!(stands(&mut rig));
+}
+
+/// Reads an object of the drive.
+fn upload(rig: &mut Rig<'_>, object: Object) -> u32 {
+    let bytes = rig.value(ServiceRequest::Upload {
+        slave: AXIS as u8,
+        object,
+        complete: false,
+        offset: 0,
+    });
+    bytes.iter().rev().fold(0, |value, byte| value << 8 | u32::from(*byte))
+}
+
+#[test]
+fn a_touch_probe_stores_the_place_of_the_next_index_pulse_each_time_it_is_armed() {
+    let mut rig = rig();
+    rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
+    let mut probe = Probe::new(ProbeSettings {
+        number: ProbeNumber::One,
+        source: ProbeSource::Index,
+        edge: ProbeEdge::Rising,
+        continuous: false,
+    });
+    let place = ProbeNumber::One.position(ProbeEdge::Rising);
+    let speeds_rad_s = [0.6, -0.6];
+    for speed_rad_s in speeds_rad_s {
+        rig.command = AxisCommand {
+            target: DriveTarget::Enabled,
+            demand: Demand::Velocity(speed_rad_s),
+        };
+        rig.run_ms(200);
+        probe.rearm();
+        let mut from = None;
+        let found = (0..200).find_map(|_| {
+            let (status, position) = (upload(&mut rig, PROBE_STATUS), upload(&mut rig, place));
+            let (function, found) = probe.step(status as u16, position.cast_signed());
+            let request = download(PROBE_FUNCTION, function.into(), 2);
+            assert_eq!(rig.ask(request), Ok(ServiceReply::Done));
+            if probe.is_armed() && from.is_none() {
+                from = Some(motor_increments(&rig));
+            }
+            found
+        });
+        let (from, found) = (from.expect("it was armed"), f64::from(found.expect("an index pulse")));
+        let turns = from / TURN;
+        let expected = TURN * if speed_rad_s > 0.0 { turns.ceil() } else { turns.floor() };
+        println!("{speed_rad_s} rad/s: armed at {from:.0}, stored {found}, the pulse is at {expected}");
+        // The request that arms the probe takes some milliseconds: a pulse may pass meanwhile.
+        let passed = (found - expected).abs() / TURN;
+        assert!(passed < 1e-6 || (passed - 1.0).abs() < 1e-6, "{found}, {expected}");
+    }
 }

@@ -213,7 +213,7 @@ impl PositionIo for ServoAxis {
         };
         let last = self.target_position.unwrap_or(self.position);
         let change = position.unwrap_or(last).wrapping_sub(last);
-        let next = last.wrapping_add(change.clamp(-scale.step_max, scale.step_max));
+        let next = last.wrapping_add(change.max(-scale.step_max).min(scale.step_max));
         self.target_position = Some(next);
         DriveOutput {
             position: next,

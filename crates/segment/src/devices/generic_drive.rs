@@ -161,6 +161,36 @@ const OBJECTS: &[ObjectRow] = &[
         "Velocity offset",
         &[(0, "Velocity offset", Integer32, READ_WRITE | RX, Live)],
     ),
+    variable(
+        0x60B8,
+        "Touch probe function",
+        &[(0, "Touch probe function", Unsigned16, READ_WRITE | RX, Live)],
+    ),
+    variable(
+        0x60B9,
+        "Touch probe status",
+        &[(0, "Touch probe status", Unsigned16, READ | TX, Live)],
+    ),
+    variable(
+        0x60BA,
+        "Touch probe 1 positive edge",
+        &[(0, "Touch probe 1 positive edge", Integer32, READ | TX, Live)],
+    ),
+    variable(
+        0x60BB,
+        "Touch probe 1 negative edge",
+        &[(0, "Touch probe 1 negative edge", Integer32, READ | TX, Live)],
+    ),
+    variable(
+        0x60BC,
+        "Touch probe 2 positive edge",
+        &[(0, "Touch probe 2 positive edge", Integer32, READ | TX, Live)],
+    ),
+    variable(
+        0x60BD,
+        "Touch probe 2 negative edge",
+        &[(0, "Touch probe 2 negative edge", Integer32, READ | TX, Live)],
+    ),
     record(
         0x60C2,
         "Interpolation time period",
@@ -263,6 +293,9 @@ fn get(servo: &Servo, index: u16, sub: u8) -> Option<i64> {
         0x6099 => drive.homing.zero_speed.into(),
         0x609A => drive.homing.acceleration.into(),
         0x60B1 => demand.velocity_offset.unwrap_or(0).into(),
+        0x60B8 => drive.probes.function.into(),
+        0x60B9 => drive.probes.status.into(),
+        0x60BA..=0x60BD => drive.probed(usize::from(index - 0x60BA)).into(),
         0x60C2 if sub == 1 => drive.position_loop.period_number.into(),
         0x60C2 => drive.position_loop.period_index.into(),
         0x60F4 => drive.position_loop.error(drive.position()).into(),
@@ -314,6 +347,7 @@ fn set_output(servo: &mut Servo, index: u16, value: i64) {
         0x6071 => demand.torque_digits = value as i16,
         0x607A => demand.position = Some(value as i32),
         0x60B1 => demand.velocity_offset = Some(value as i32),
+        0x60B8 => servo.drive.probes.function = value as u16,
         0x60FF => demand.velocity_digits = value as i32,
         _ => {}
     }

@@ -58,7 +58,7 @@ impl Marks {
     }
 
     /// The edge of a switch that a motion passes.
-    fn edge(&self, switch: Switch, from: f64, to: f64) -> f64 {
+    pub(crate) fn edge(&self, switch: Switch, from: f64, to: f64) -> f64 {
         let edges = match switch {
             Switch::Negative => [self.switches.negative_rad; 2],
             Switch::Positive => [self.switches.positive_rad; 2],

@@ -8,6 +8,7 @@ pub(crate) mod homing;
 pub(crate) mod motor;
 mod options;
 pub(crate) mod position_loop;
+pub(crate) mod probe;
 pub(crate) mod resolver;
 pub(crate) mod servo;
 pub(crate) mod velocity_loop;
@@ -17,6 +18,7 @@ pub use options::DriveOptions;
 use homing::{Homing, Marks, Switch};
 use motor::{Action, Motor};
 use position_loop::PositionLoop;
+use probe::Probes;
 use resolver::{Resolver, ResolverFault};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
@@ -146,6 +148,7 @@ pub(crate) struct Drive {
     resolver: Resolver,
     pub(crate) position_loop: PositionLoop,
     pub(crate) homing: Homing,
+    pub(crate) probes: Probes,
     /// Position at the motor's mark since the last homing, less the configured one, increments.
     home_shift: i64,
     emergencies: VecDeque<u16>,
@@ -178,6 +181,7 @@ impl Drive {
             position_loop: PositionLoop::new(options.increments_per_revolution),
             homing: Homing::new(options.increments_per_revolution),
             home_shift: 0,
+            probes: Probes::default(),
             emergencies: VecDeque::new(),
         };
         drive.resolver = Resolver::new(options.noise_increments / drive.increments_per_rad(), noise_seed)
@@ -202,6 +206,7 @@ impl Drive {
         self.position_loop = PositionLoop::new(self.options.increments_per_revolution);
         self.homing = Homing::new(self.options.increments_per_revolution);
         self.home_shift = 0;
+        self.probes = Probes::default();
         self.emergencies.clear();
         self.status = self.state.status_bits();
     }
@@ -334,6 +339,8 @@ impl Drive {
         self.motor.step(action);
         self.resolver
             .step(self.motor.angle_rad(), 1.0 / self.increments_per_rad());
+        let marks = self.marks();
+        self.probes.step(self.motor.angle_rad() * marks.per_rad, &marks);
         if self.motor.is_still() {
             self.state = match self.state {
                 DriveState::QuickStopActive => DriveState::SwitchOnDisabled,
@@ -391,6 +398,12 @@ impl Drive {
             turn: f64::from(self.options.increments_per_revolution.max(1)),
             switches: self.options.switches,
         }
+    }
+
+    /// Position that a touch probe has stored, objects 0x60BA to 0x60BD, from 0.
+    pub(crate) fn probed(&self, number: usize) -> i32 {
+        let place = self.probes.stored.get(number).copied().unwrap_or(0.0);
+        self.position_at(place / self.increments_per_rad())
     }
 
     /// Digital inputs, object 0x60FD: limit switches and home switch.
