@@ -354,7 +354,7 @@ fn in_position_mode_the_velocity_of_the_drives_own_loop_is_compared_and_the_offs
         correction_rad_s: 1.0,
     };
     let output = axis.output_position(DriveTarget::Enabled, Some(&demand));
-    assert_eq!((output.demand_digits, axis.sent), (16_021, 48_064));
+    assert_eq!((output.demand_digits, axis.sent), (16_021, 48_063));
     assert!(axis.commanded);
     // A hold expects what the drive's loop makes of an error beyond the one it may leave.
     axis.step(at(2_003 - 201), 0);
