@@ -2,10 +2,11 @@
 //!
 //! The figures of each run are printed (`cargo test --test identification -- --nocapture`).
 
-use etherpen::config::Config;
+use etherpen::config::{AxisMode, Config};
+use etherpen::messages::Sample;
 use host_tools::cell::{CellOptions, Physics};
 use host_tools::drawing::preparation::prepare::prepare;
-use host_tools::identification::{apply, identify, test_config, test_path};
+use host_tools::identification::{apply, identify, identify_with_weak, test_config, test_path, weak_config};
 use host_tools::report::Report;
 use host_tools::report::output::conclude;
 use host_tools::run::task;
@@ -16,6 +17,12 @@ use std::path::Path;
 const LEAD_MS: f64 = 0.1;
 /// How far a gain may be from the cell's.
 const GAIN: f64 = 0.002;
+/// How far the gain of a position loop may be from the cell's.
+const LOOP_GAIN: f64 = 0.25;
+/// How far the lead of a target may be from the cell's, ms.
+const POSITION_LEAD_MS: f64 = 0.15;
+/// Farthest ink from its line after an identification in position mode, mm.
+const INK_MM: f64 = 0.07;
 
 /// The lead that the cell's drives require, ms: the delays of both directions, half a millisecond for sampling, and the
 /// drive's lag 1 / (2 pi f), less the age of the measurement, which is compared with the setpoint of that age.
@@ -30,7 +37,7 @@ fn true_lead_ms(cell: &CellOptions, measurement_age_ms: f64) -> f64 {
     delays + 0.5 + lag_ms - measurement_age_ms
 }
 
-fn identified(config: &Config, cell: &CellOptions) -> Config {
+fn test_motion(config: &Config, cell: &CellOptions) -> Vec<Sample> {
     let test = test_config(config);
     let task = RunTask {
         path: test_path(&test),
@@ -39,7 +46,15 @@ fn identified(config: &Config, cell: &CellOptions) -> Config {
     };
     let drawn = run::simulate(&task, None, &mut |_| {}).expect("nothing is captured");
     assert_eq!(drawn.outcome, Some(Ok(())));
-    let answers = identify(config, &drawn.job.samples);
+    drawn.job.samples
+}
+
+fn identified(config: &Config, cell: &CellOptions) -> Config {
+    let first = test_motion(config, cell);
+    let answers = match config.axes[0].mode {
+        AxisMode::Position => identify_with_weak(config, &first, &test_motion(&weak_config(config), cell)),
+        AxisMode::Velocity | AxisMode::Torque => identify(config, &first),
+    };
     let mut found = config.clone();
     apply(&mut found, &answers, None);
     found
@@ -88,5 +103,58 @@ fn a_wrong_lead_and_a_wrong_gain_are_found_and_the_drawn_line_comes_closer() {
         );
         assert!(after.path_deviation_max_mm < before.path_deviation_max_mm);
         assert!(after.path_deviation_max_mm <= 0.1, "{} mm", after.path_deviation_max_mm);
+    }
+}
+
+#[test]
+fn in_position_mode_leads_and_loop_gain_are_found_and_the_ink_keeps_to_its_line() {
+    // Gain of the position loop, bandwidth below it, cycles of position and command.
+    let cells = [(100.0, 100.0, 1, 1), (60.0, 100.0, 1, 2), (150.0, 200.0, 0, 1)];
+    for (gain_per_s, bandwidth_hz, position_cycles, command_cycles) in cells {
+        let mut cell = CellOptions::default();
+        cell.physics.position_loop.gain_per_s = gain_per_s;
+        cell.physics.velocity_loop.bandwidth_hz = bandwidth_hz;
+        cell.physics.dead_time.position_cycles = position_cycles;
+        cell.physics.dead_time.command_cycles = command_cycles;
+        let mut wrong = Config::default();
+        let age_ms = wrong.axes[0].measurement_age_ms;
+        // A millisecond of interpolation, less the sampling of a velocity in the middle of its own.
+        let truth_ms = f64::from(position_cycles + command_cycles) + 1.0 - age_ms;
+        let velocity_truth_ms = true_lead_ms(&cell, age_ms);
+        for axis in &mut wrong.axes {
+            axis.mode = AxisMode::Position;
+            axis.position_lead_ms = truth_ms + 1.0;
+            axis.feed_forward_lead_ms = velocity_truth_ms + 0.5;
+        }
+        let found = identified(&wrong, &cell);
+        for axis in &found.axes {
+            println!(
+                "{gain_per_s} /s, {bandwidth_hz} Hz, {position_cycles}/{command_cycles} cycles: lead {:.4} ms of \
+                 {truth_ms:.4}, velocity {:.4} ms of {velocity_truth_ms:.4}, gain {:.2} /s",
+                axis.position_lead_ms, axis.feed_forward_lead_ms, axis.feedback_gain_per_s
+            );
+            assert!(
+                (axis.position_lead_ms - truth_ms).abs() < POSITION_LEAD_MS,
+                "{truth_ms} ms"
+            );
+            assert!(
+                (axis.feed_forward_lead_ms - velocity_truth_ms).abs() < 4.0 * LEAD_MS,
+                "{velocity_truth_ms} ms"
+            );
+            assert!(
+                (axis.feedback_gain_per_s / gain_per_s - 1.0).abs() < LOOP_GAIN,
+                "{gain_per_s} /s"
+            );
+        }
+        let after = drawn(&found, &cell);
+        println!(
+            "deviation {:.4} mm, ink {:.4} mm",
+            after.path_deviation_max_mm, after.ink_deviation_max_mm
+        );
+        assert!(
+            after.ink_deviation_max_mm <= INK_MM,
+            "{} mm",
+            after.ink_deviation_max_mm
+        );
     }
 }

@@ -14,7 +14,13 @@
 //! The main axes share one lead and one Kfb, so that the platform's lag is along its path. Commands and responses pass
 //! identical low-pass filters before the regression, which changes neither g nor D.
 //!
+//! An axis in position mode needs a second record (`by_position.rs`).
+//!
 //! Invariant: an axis that has hardly moved, or whose samples do not fit the model, gets no estimate.
+
+mod by_position;
+
+pub use by_position::weak_config;
 
 use etherpen::application::Mode;
 use etherpen::config::{Axis, AxisMode, Config, Orientation};
@@ -78,8 +84,10 @@ pub struct Answer {
     pub lead_ms: Measured,
     /// Feed-forward gain that results from the gain.
     pub feed_forward_gain: Measured,
-    /// Feedback gain with a phase margin of 60 degrees, 1/s.
+    /// Feedback gain with a phase margin of 60 degrees, 1/s; in position mode the gain of the drive's position loop.
     pub feedback_gain_per_s: f64,
+    /// Lead of the target position; absent in the other modes.
+    pub position_lead_ms: Option<Measured>,
 }
 
 /// Why an axis has no estimate.
@@ -88,6 +96,8 @@ pub struct Answer {
 pub enum NoAnswer {
     /// The axis is in torque mode: lead and gain of a velocity have no meaning for its drive.
     Torque,
+    /// The axis is in position mode, which takes a second record.
+    Position,
     /// The axis has hardly moved.
     Still,
     /// Too few consecutive samples.
@@ -100,6 +110,7 @@ impl std::fmt::Display for NoAnswer {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         f.write_str(match self {
             Self::Torque => "the axis follows a torque; lead and gain belong to drives that follow a velocity",
+            Self::Position => "the axis follows a position; a second test motion is needed",
             Self::Still => "the axis has hardly moved, its values are kept",
             Self::Samples => "too few samples without a gap",
             Self::Model => "the drive's response is not that of a delay and a gain; check its own controller",
@@ -110,6 +121,9 @@ impl std::fmt::Display for NoAnswer {
 /// Least limit of the feedback deviation during the test motion, rad: the delay used to predict the motion is not known
 /// yet.
 const FEEDBACK_DEVIATION_RAD: f64 = 0.03;
+/// Largest gain of a drive's position loop that the supervision counts on during the test motion, 1/s: what it makes of an
+/// error whose delay is not known yet.
+const LOOP_GAIN_PER_S: f64 = 2.0;
 
 /// The configuration for the test motion: the given one with a limited speed, with the fourth axis along the path, and
 /// with a tolerance in the feedback supervision for the delay that is not known yet.
@@ -122,6 +136,9 @@ pub fn test_config(config: &Config) -> Config {
     motion.acceleration_mm_s2 = motion.acceleration_mm_s2.min(ACCELERATION_MAX_MM_S2);
     for axis in &mut test.axes {
         axis.feedback_deviation_max_rad = axis.feedback_deviation_max_rad.max(FEEDBACK_DEVIATION_RAD);
+        if axis.mode == AxisMode::Position {
+            axis.feedback_gain_per_s = axis.feedback_gain_per_s.min(LOOP_GAIN_PER_S);
+        }
     }
     test
 }
@@ -167,6 +184,18 @@ pub fn identify(config: &Config, samples: &[Sample]) -> [Result<Answer, NoAnswer
     std::array::from_fn(|axis| identify_axis(&config.axes[axis], axis, samples))
 }
 
+/// Estimates every axis from the telemetry of two motions, one run with `config`, the other with its [`weak_config`]. The
+/// second one is needed for axes in position mode.
+pub fn identify_with_weak(config: &Config, samples: &[Sample], weak: &[Sample]) -> [Result<Answer, NoAnswer>; AXES] {
+    std::array::from_fn(|number| {
+        let axis = &config.axes[number];
+        match axis.mode {
+            AxisMode::Velocity | AxisMode::Torque => identify_axis(axis, number, samples),
+            AxisMode::Position => by_position::identify_axis(axis, number, samples, weak),
+        }
+    })
+}
+
 /// Puts estimates into a configuration. `only` limits the change to one axis. Lead and feedback gain of the main axes
 /// change together, to their mean and to their smallest value.
 pub fn apply(config: &mut Config, answers: &[Result<Answer, NoAnswer>; AXES], only: Option<usize>) {
@@ -179,6 +208,12 @@ pub fn apply(config: &mut Config, answers: &[Result<Answer, NoAnswer>; AXES], on
     // Without an estimate of every main axis no lead is shared: the platform would lag beside its path.
     let main_wanted = (0..MAIN_AXES).any(wanted) && main.len() == MAIN_AXES;
     let lead_ms = main.iter().map(|answer| answer.lead_ms.value).sum::<f64>() / MAIN_AXES as f64;
+    let position_leads_ms = main
+        .iter()
+        .map(|answer| answer.position_lead_ms.map(|lead_ms| lead_ms.value));
+    let position_lead_ms = position_leads_ms
+        .sum::<Option<f64>>()
+        .map(|sum_ms| sum_ms / MAIN_AXES as f64);
     let feedback = main
         .iter()
         .map(|answer| answer.feedback_gain_per_s)
@@ -187,15 +222,23 @@ pub fn apply(config: &mut Config, answers: &[Result<Answer, NoAnswer>; AXES], on
         if number < MAIN_AXES && main_wanted {
             axis.feed_forward_lead_ms = lead_ms;
             axis.feedback_gain_per_s = feedback;
+            axis.position_lead_ms = position_lead_ms.unwrap_or(axis.position_lead_ms);
         }
         let Ok(answer) = answer else { continue };
         if !wanted(number) {
             continue;
         }
         axis.feed_forward_gain = answer.feed_forward_gain.value;
+        if axis.mode == AxisMode::Position {
+            // A property of this drive, not a choice.
+            axis.feedback_gain_per_s = answer.feedback_gain_per_s;
+        }
         if number >= MAIN_AXES {
             axis.feed_forward_lead_ms = answer.lead_ms.value;
             axis.feedback_gain_per_s = answer.feedback_gain_per_s;
+            axis.position_lead_ms = answer
+                .position_lead_ms
+                .map_or(axis.position_lead_ms, |lead_ms| lead_ms.value);
         }
     }
 }
@@ -207,14 +250,16 @@ type Estimate = (f64, f64, [f64; TERMS]);
 type Equation = ([f64; TERMS], f64);
 
 fn identify_axis(axis: &Axis, number: usize, samples: &[Sample]) -> Result<Answer, NoAnswer> {
-    if axis.mode == AxisMode::Torque {
-        return Err(NoAnswer::Torque);
+    match axis.mode {
+        AxisMode::Velocity => {}
+        AxisMode::Torque => return Err(NoAnswer::Torque),
+        AxisMode::Position => return Err(NoAnswer::Position),
     }
     let shift = (axis.feed_forward_lead_ms + axis.measurement_age_ms + 0.5).round() as usize;
     let runs = samples.chunk_by(|a, b| b.t_ms == a.t_ms.wrapping_add(1) && moves(a) == moves(b));
     let equations: Vec<Equation> = runs
         .filter(|run| run.first().is_some_and(moves))
-        .flat_map(|run| equations(axis, number, run, shift))
+        .flat_map(|run| equations(&commands(axis, number, run), number, run, shift))
         .collect();
     if equations.len() < PARTS * PART_SAMPLES_MIN {
         return Err(NoAnswer::Samples);
@@ -261,6 +306,7 @@ fn identify_axis(axis: &Axis, number: usize, samples: &[Sample]) -> Result<Answe
         lead_ms: measured(lead_ms, delay_spread_ms),
         feed_forward_gain: measured(1.0 / gain, gain_spread / (gain * gain)),
         feedback_gain_per_s: PI / 6.0 / ((delay_ms - 0.5) / 1_000.0) / gain,
+        position_lead_ms: None,
     })
 }
 
@@ -268,8 +314,8 @@ fn moves(sample: &Sample) -> bool {
     sample.mode == Mode::Drawing
 }
 
-/// The equations of one run of samples: filtered responses on the filtered command `shift` milliseconds earlier.
-fn equations(axis: &Axis, number: usize, run: &[Sample], shift: usize) -> Vec<Equation> {
+/// Velocity commands of one run of samples, as the controller computed them.
+fn commands(axis: &Axis, number: usize, run: &[Sample]) -> Vec<f64> {
     let mut controller = PositionController::new(axis);
     let command = |k: usize| {
         let sample = &run[k];
@@ -280,9 +326,13 @@ fn equations(axis: &Axis, number: usize, run: &[Sample], shift: usize) -> Vec<Eq
         let (reference, measured) = (sample.setpoint_rad[number].into(), sample.measured_rad[number].into());
         controller.step(reference, measured, ahead)
     };
-    let commands: Vec<f64> = (0..run.len()).map(command).collect();
+    (0..run.len()).map(command).collect()
+}
+
+/// The equations of one run of samples: filtered responses on the filtered command `shift` milliseconds earlier.
+fn equations(commands: &[f64], number: usize, run: &[Sample], shift: usize) -> Vec<Equation> {
     let answers: Vec<f64> = run.iter().map(|sample| sample.measured_rad_s[number].into()).collect();
-    let (commands, answers) = (low_pass(&commands), low_pass(&answers));
+    let (commands, answers) = (low_pass(commands), low_pass(&answers));
     // References after the run's end are not known, nor commands before its beginning.
     let last = answers.len().saturating_sub(SETPOINTS_AHEAD);
     let first = shift + 2 + etherpen::control::position::AGE_MAX_MS;

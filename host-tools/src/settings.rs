@@ -200,6 +200,7 @@ impl Settings {
                     axis.feed_forward_lead_ms,
                     before.feed_forward_lead_ms,
                 ),
+                ("position_lead_ms", axis.position_lead_ms, before.position_lead_ms),
                 ("sync_angle_rad", axis.sync_angle_rad, before.sync_angle_rad),
             ];
             for (field, value, before) in values {

@@ -26,13 +26,15 @@ const HISTORY: usize = (AGE_MAX_MS + 3).next_power_of_two();
 /// Upcoming setpoints that [`PositionController::step`] looks at, counted from the present one.
 pub const SETPOINTS_AHEAD: usize = LEAD_MAX_MS + 3;
 
-/// Error that a drive in position mode may leave standing, rad at the joint: friction and its encoder's steps. The motion
-/// expected of it begins beyond.
+/// Error that a drive in position mode may leave standing, rad at the joint: friction and its encoder's steps.
 const STANDING_ERROR_RAD: f64 = 2.0e-5;
+/// How far the delays of a drive in position mode may be other than configured, s: late telegrams, its own clock.
+const DELAY_DOUBT_S: f64 = 1.0e-3;
 
-/// The part of a position error that a drive in position mode is expected to remove, rad at the joint.
-pub(super) fn beyond_standing_error(error_rad: f64) -> f64 {
-    error_rad - error_rad.clamp(-STANDING_ERROR_RAD, STANDING_ERROR_RAD)
+/// The part of a position error that a drive in position mode is expected to remove at this velocity, rad at the joint.
+pub(super) fn error_removed_rad(error_rad: f64, velocity_rad_s: f64) -> f64 {
+    let left_rad = STANDING_ERROR_RAD + DELAY_DOUBT_S * velocity_rad_s.abs();
+    error_rad - error_rad.max(-left_rad).min(left_rad)
 }
 
 /// Position controller of one axis, stepped once a millisecond.
@@ -104,13 +106,15 @@ impl PositionController {
     /// Advances by one millisecond, for an axis whose drive takes a position; `forward_rad_s` is the velocity setpoint at
     /// [`Self::lead`].
     ///
-    /// Returns the velocity that the drive's own loops are expected to demand of the motor, rad/s at the joint, and the
-    /// velocity to add to that of the drive's position loop, rad/s.
+    /// Returns the velocity by which the drive's position loop is expected to correct the error, and the velocity to add to
+    /// it, rad/s at the joint.
     pub(super) fn step_for_position(&mut self, setpoint_rad: f64, measured_rad: f64, forward_rad_s: f64) -> [f64; 2] {
         self.remember(setpoint_rad);
-        let error_rad = beyond_standing_error(self.setpoint_at_age_rad - measured_rad);
-        let expected_rad_s = self.feedback_gain_per_s * error_rad + forward_rad_s;
-        [expected_rad_s, self.feed_forward_gain * forward_rad_s]
+        let error_rad = error_removed_rad(self.setpoint_at_age_rad - measured_rad, forward_rad_s);
+        [
+            self.feedback_gain_per_s * error_rad,
+            self.feed_forward_gain * forward_rad_s,
+        ]
     }
 
     /// Advances an axis whose velocity loop is closed by the firmware by one millisecond.

@@ -15,7 +15,7 @@ pub use findings::{HomingError, Reading};
 use crate::config::{Axis, AxisMode};
 use crate::control::feedback::{COMPARISONS, FeedbackMonitor, Implausible};
 use crate::control::limit::limited;
-use crate::control::position::beyond_standing_error;
+use crate::control::position::error_removed_rad;
 use crate::control::torque_feedback::Demanded;
 use crate::drives::cia402::{DriveState, DriveTarget, StatusWord};
 use crate::drives::io::{GroupDrive, IoGroup, PositionIo, TorqueIo, VelocityIo};
@@ -82,11 +82,12 @@ pub struct AxisCommand {
 pub struct PositionDemand {
     /// Joint angle of the target, rad.
     pub angle_rad: f64,
+    /// Velocity of the target, rad/s at the joint.
+    pub velocity_rad_s: f64,
     /// Velocity to add to that of the drive's position loop, rad/s at the joint.
     pub forward_rad_s: f64,
-    /// Velocity that the drive's loops are expected to demand of the motor, rad/s at the joint; the feedback is compared
-    /// with it.
-    pub expected_rad_s: f64,
+    /// Velocity of the drive's position loop, as expected from the present error, rad/s at the joint.
+    pub correction_rad_s: f64,
 }
 
 /// One axis: its drive, its unwrapped position, and its zero.
@@ -327,14 +328,14 @@ impl AxisState {
         let forward_rad_s = wanted.map_or(0.0, |(_, demand)| demand.forward_rad_s);
         let increments = wanted.map(|(increments, _)| increments);
         let output = self.drive.set_position(target, increments, forward_rad_s);
-        self.commanded = wanted.is_some_and(|(_, demand)| demand.expected_rad_s != 0.0);
+        self.commanded = wanted.is_some_and(|(_, demand)| demand.velocity_rad_s != 0.0);
         let scale = self.drive.demand_scale().filter(|_| self.drive.runs(&output));
         if let Some((_, digits_per_unit)) = scale {
             let expected_rad_s = match wanted {
-                Some((_, demand)) => demand.expected_rad_s,
+                Some((_, demand)) => demand.correction_rad_s + demand.velocity_rad_s,
                 None => {
                     let error = f64::from(output.position.wrapping_sub(self.raw)) / self.increments_per_rad;
-                    self.config.feedback_gain_per_s * beyond_standing_error(error)
+                    self.config.feedback_gain_per_s * error_removed_rad(error, 0.0)
                 }
             };
             let expected_rad_s = limited(expected_rad_s, self.config.output_max_rad_s.abs());
@@ -349,9 +350,9 @@ impl AxisState {
     /// finite.
     fn increments_at(&self, angle_rad: f64) -> Option<i32> {
         let ahead = self.zero? + angle_rad * self.increments_per_rad - float(self.position);
-        ahead
-            .is_finite()
-            .then(|| self.raw.wrapping_add(libm::round(ahead) as i32))
+        // Rounds to the nearest integer: the conversion truncates and saturates.
+        let rounded = (ahead + if ahead < 0.0 { -0.5 } else { 0.5 }) as i32;
+        ahead.is_finite().then(|| self.raw.wrapping_add(rounded))
     }
 }
 

@@ -494,14 +494,16 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         let around = self.window.velocities_around(lead.whole);
         let [low, high] = around.map(|velocities| velocities.get(axis).copied().unwrap_or(0.0));
         let ahead_rad = self.window.position_rad(axis, controller.position_lead());
-        let [expected_rad_s, forward_rad_s] =
-            controller.step_for_position(setpoint_rad, measured_rad, lead.between(low, high));
+        let velocity_rad_s = lead.between(low, high);
+        let [correction_rad_s, forward_rad_s] =
+            controller.step_for_position(setpoint_rad, measured_rad, velocity_rad_s);
         *demand = PositionDemand {
             angle_rad: ahead_rad.unwrap_or(setpoint_rad),
+            velocity_rad_s,
             forward_rad_s,
-            expected_rad_s,
+            correction_rad_s,
         };
-        expected_rad_s
+        correction_rad_s + forward_rad_s
     }
 
     #[inline(never)]

@@ -4,6 +4,7 @@ mod bring_up;
 mod device_images;
 mod diagnosis;
 mod frame_faults;
+mod homing;
 mod real_chain;
 mod rig;
 mod services;

@@ -8,8 +8,8 @@ use super::robot::{Robot, path};
 use etherpen::application::{Fault, Mode};
 use etherpen::config::{AxisMode, Config};
 use etherpen::messages::Command;
-use etherpen::robots::{AXES, MAIN_AXES, Position};
-use host_tools::cell::{CellOptions, DriveState, Fault as CellFault, ResolverFault, SlaveKind};
+use etherpen::robots::{MAIN_AXES, Position};
+use host_tools::cell::{DriveState, Fault as CellFault, ResolverFault};
 use host_tools::random::Random;
 
 /// Where a motion begins, mm.
@@ -271,15 +271,6 @@ pub(crate) fn with(mode: AxisMode, speed_mm_s: f64) -> Config {
         }
     }
     config
-}
-
-/// A cell whose drives have the mode.
-pub(crate) fn cell_for(mode: AxisMode) -> CellOptions {
-    let mut options = CellOptions::default();
-    if mode == AxisMode::Position {
-        options.slaves = vec![SlaveKind::Cia402; AXES];
-    }
-    options
 }
 
 /// Largest distance of the ink of some strokes from other ink, mm.

@@ -3,7 +3,7 @@
 //! The tables are part of `docs/faults.md`; the tests compare. To renew them after an intended change, run
 //! `ETHERPEN_RENEW_FAULTS=1 cargo test --test reactions untrue_feedback` and review the difference.
 
-use crate::feedback::{Case, HARD_MM_S2, Kind, Outcome, case, cell_for, drive, recover, with};
+use crate::feedback::{Case, HARD_MM_S2, Kind, Outcome, case, drive, recover, with};
 use crate::robot::{Robot, Used};
 use etherpen::application::Mode;
 use etherpen::config::{AxisMode, Config};
@@ -51,7 +51,7 @@ struct Worst {
 }
 
 fn scan(mode: AxisMode, cases: u64) -> Vec<(Kind, Vec<Worst>)> {
-    let mut robots = SPEEDS_MM_S.map(|speed_mm_s| Robot::of(&with(mode, speed_mm_s), cell_for(mode)).enabled());
+    let mut robots = SPEEDS_MM_S.map(|speed_mm_s| Robot::idle_with(&with(mode, speed_mm_s)));
     let mut table = Vec::new();
     for kind in Kind::ALL {
         let mut row = Vec::new();
@@ -195,7 +195,7 @@ fn a_sound_robot_keeps_to_its_line_in_the_same_motions() {
     for mode in [AxisMode::Velocity, AxisMode::Position] {
         for speed_mm_s in SPEEDS_MM_S {
             let config = with(mode, speed_mm_s);
-            let used = drive_sound(&config, speed_mm_s, cell_for(mode), 0..2);
+            let used = drive_sound(&config, speed_mm_s, CellOptions::default(), 0..2);
             println!("{mode:?} at {speed_mm_s} mm/s: {used:.3?}");
         }
     }

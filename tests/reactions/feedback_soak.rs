@@ -166,3 +166,8 @@ fn strokes_moves_and_jogs_of_a_sound_robot_in_velocity_mode_are_accepted() {
 fn strokes_moves_and_jogs_of_a_sound_robot_in_torque_mode_are_accepted() {
     soak(AxisMode::Torque);
 }
+
+#[test]
+fn strokes_moves_and_jogs_of_a_sound_robot_in_position_mode_are_accepted() {
+    soak(AxisMode::Position);
+}

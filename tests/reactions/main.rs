@@ -15,6 +15,7 @@ mod liveness;
 mod matrix;
 mod outputs;
 mod outside;
+mod position;
 mod robot;
 mod stale;
 mod unreferenced;

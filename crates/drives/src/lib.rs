@@ -5,7 +5,8 @@
 //! A module imports modules of lower layers only.
 //!
 //! 1. `cia402`: CiA 402 words and states
-//! 2. `io`, `layout`: traits between control and I/O; where values are in process data
+//! 2. `io`, `layout`, `homing`, `probe`: traits between control and I/O; where values are in process data; homing by the
+//!    drive; its touch probes
 //! 3. `configuration`: settings and their writing
 //! 4. `generic`: any CiA 402 servo drive
 //! 5. `ax2000`, `akd`: drive types
@@ -24,9 +25,11 @@ mod configuration;
 mod ethercat_group;
 mod factory;
 pub mod generic;
+pub mod homing;
 pub mod io;
 pub mod layout;
 mod memory_group;
+pub mod probe;
 mod servo_axis;
 
 pub use ethercat_group::EtherCatGroup;

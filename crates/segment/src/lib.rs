@@ -44,6 +44,7 @@ pub use application::AlState;
 pub use controller::silicon::ClockWidth;
 pub use devices::ax2000::NAME as AX2000_NAME;
 pub use devices::kind::SlaveKind;
+pub use drive::homing::Switches;
 pub use drive::resolver::{ResolverError, ResolverFault};
 pub use drive::velocity_loop::{LOOP_STEP_S, LOOP_STEPS, PiLoop, VelocityLoop};
 pub use drive::{DriveOptions, DriveState};

@@ -62,10 +62,25 @@ pub fn episode(seed: u64, profile: Profile) -> Episode {
     if chance.one_in(5) {
         soften(&mut episode, chance.scaled(0.5, 400.0));
     }
+    let is_by_torque = episode.config.keys().any(|key| key.ends_with(".mode"));
+    // With chances of its own, so that the other episodes of all seeds stay as they are.
+    if !is_by_torque && Chance::new(seed ^ POSITION_SEED).one_in(6) {
+        by_position(&mut episode);
+    }
     if profile != Profile::Quiet {
         episode.events = events(&mut chance, profile, duration_ms);
     }
     episode
+}
+
+/// Lets all drives close the position loop.
+fn by_position(episode: &mut Episode) {
+    for axis in 0..Config::default().axes.len() {
+        let mode = Value::String("position".into());
+        episode.config.insert(format!("axes.{axis}.mode"), mode);
+        let gain = Value::Float(POSITION_GAIN_PER_S);
+        episode.config.insert(format!("axes.{axis}.feedback_gain_per_s"), gain);
+    }
 }
 
 /// Sets the deceleration of a quick stop, rad/s2, if the configuration may have it.
@@ -303,6 +318,10 @@ fn configuration(chance: &mut Chance) -> BTreeMap<String, Value> {
 
 /// Feedback gain with which drives in torque mode follow well, 1/s.
 const TORQUE_GAIN_PER_S: f64 = 40.0;
+/// Gain of the position loop of the cell's drives, 1/s.
+const POSITION_GAIN_PER_S: f64 = 100.0;
+/// Gives the choice of position mode random numbers of its own.
+const POSITION_SEED: u64 = 0x0005_1710_0000;
 
 #[cfg(test)]
 mod tests {

@@ -6,7 +6,7 @@ use super::world::Frame;
 use super::{Rule, robot};
 use crate::cell::{Fault, PEN_SPRING_MM, Product, ResolverFault, SiiFault, Truth};
 use etherpen::application::Mode;
-use etherpen::config::{AxisMode, Config, Transport};
+use etherpen::config::{Axis, AxisMode, Config, Transport};
 use etherpen::link::frame::{Decoder, decode};
 use etherpen::messages::{Command, HostMessage, PathVertex, Status};
 use etherpen::motion::Pen;
@@ -35,9 +35,9 @@ const INK_MISSING_BY_TORQUE: f64 = 0.01;
 /// Length of a gap that this leaves in a line, mm.
 const INK_MISSING_BY_TORQUE_MM: f64 = 1.0;
 
-/// How far the tool may be astray in torque mode while a feedback is not true, mm: a slip is not noticed there
-/// (`docs/faults.md`), so that only the joints' ranges bound it.
-const ASTRAY_BY_TORQUE_MM: f64 = 600.0;
+/// How far the tool may be astray in torque and position mode while a feedback is not true, mm: a slip need not be noticed
+/// there (`docs/faults.md`), so that only the joints' ranges bound it.
+const ASTRAY_BY_SLIP_MM: f64 = 600.0;
 
 /// How long the bus needs after a disturbance was put right, ms.
 const AFTER_REPAIR_MS: u64 = 3_000;
@@ -75,6 +75,8 @@ pub(super) struct Judge {
     /// Axes whose encoder was mounted again: their positions are true once the robot is homed.
     mounted: [bool; AXES],
     axes: usize,
+    /// The drives that belong in the cell.
+    products: [Product; AXES],
     configured: bool,
     /// The drawing that the operator orders, until its order reaches the board.
     ordered: Option<(u16, Vec<Input>)>,
@@ -96,6 +98,7 @@ impl Judge {
             untrue: [0; AXES],
             mounted: [false; AXES],
             axes: config.axes.len(),
+            products: config.axes.each_ref().map(product),
             configured: false,
             ordered: None,
             finished: None,
@@ -224,12 +227,12 @@ impl Judge {
             Fault::Join => self.closes(now_ms, Open::Cut),
             Fault::Insert(slave) => self.closes(now_ms, Open::Removed(slave)),
             // A slave that is exchanged, if only for one of its own kind, is bypassed for a moment.
-            Fault::Swap(slave, product) => match product {
-                Product::Ax2000 => {
+            Fault::Swap(slave, product) => match product == self.products[(slave - 1).min(AXES - 1)] {
+                true => {
                     self.disturbed(now_ms, Some(AFTER_REPAIR_MS));
                     self.closes(now_ms, Open::Swapped(slave));
                 }
-                _ => self.opens(now_ms, Open::Swapped(slave)),
+                false => self.opens(now_ms, Open::Swapped(slave)),
             },
             Fault::Sii(slave, SiiFault::Whole) => self.closes(now_ms, Open::Memory(slave)),
             Fault::Sii(slave, _) => self.opens(now_ms, Open::Memory(slave)),
@@ -461,6 +464,14 @@ fn mode_of(mode: Mode) -> monitor::Mode {
     }
 }
 
+/// The drive that belongs to an axis.
+pub(super) fn product(axis: &Axis) -> Product {
+    match axis.mode {
+        AxisMode::Velocity | AxisMode::Torque => Product::Ax2000,
+        AxisMode::Position => Product::Cia402,
+    }
+}
+
 fn by_torque(config: &Config) -> bool {
     config.axes.iter().any(|axis| axis.mode == AxisMode::Torque)
 }
@@ -552,8 +563,8 @@ fn cell(config: &Config) -> monitor::Cell {
             usual.overshoot_mm_s
         },
         ink_missing_part: if by_torque(config) { INK_MISSING_BY_TORQUE } else { 0.0 },
-        disturbed_mm: if by_torque(config) {
-            ASTRAY_BY_TORQUE_MM
+        disturbed_mm: if config.axes.iter().any(|axis| axis.mode != AxisMode::Velocity) {
+            ASTRAY_BY_SLIP_MM
         } else {
             usual.disturbed_mm
         },

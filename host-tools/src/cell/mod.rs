@@ -35,6 +35,7 @@ pub use physics::{
     Backlash, Calibration, CellChoice, CellFileError, DeadTime, Friction, LoopKind, Payload, Physics, PositionLoop,
     Resolver, StructuralMode, TorqueMeasurement, Value, VelocityLoop,
 };
+pub use terminals::usual_slaves;
 
 use crate::random::Random;
 use calibration::Residues;
@@ -58,9 +59,8 @@ pub struct CellOptions {
     pub start_offset_max_rad: f64,
     /// Script of the faults.
     pub faults: Script,
-    /// The slaves in the order of the chain; empty for an AX2000 for each configured drive, and digital terminals at the
-    /// places that the configuration's `io` names, whose contacts are closed. Drives belong to the
-    /// configuration's axes in order; further drives move nothing.
+    /// The slaves in the order of the chain; empty for [`usual_slaves`]. Drives belong to the configuration's axes in order;
+    /// further drives move nothing.
     pub slaves: Vec<SlaveKind>,
     /// What is set on each slave; slaves beyond them have the default options.
     pub places: Vec<PlaceOptions>,
@@ -137,9 +137,9 @@ impl Cell {
     #[must_use]
     pub fn new(config: &Config, options: CellOptions) -> Self {
         let mut random = Random::new(options.seed);
-        let slaves = match options.slaves.len() {
-            0 => terminals::chain(config),
-            _ => options.slaves.clone(),
+        let slaves = match options.slaves.is_empty() {
+            true => usual_slaves(config),
+            false => options.slaves.clone(),
         };
         let residues = Residues::new(&config.geometry, &options.physics.calibration, options.seed);
         let mut commissioning = Commissioning::new(config, &options.physics, options.seed);

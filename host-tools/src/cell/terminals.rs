@@ -3,12 +3,22 @@
 //! Each named place gets a digital terminal of eight channels, inputs or outputs; the places between them get couplers.
 //! The contacts of roles that are closed in operation are closed at the start.
 
-use etherpen::config::{Config, IoDirection, IoRole};
+use etherpen::config::{AxisMode, Config, IoDirection, IoRole};
 use etherpen_segment::SlaveKind;
 
-/// The slaves of a configuration in the order of the chain.
-pub(crate) fn chain(config: &Config) -> Vec<SlaveKind> {
-    let mut drives = usize::from(config.bus.drives).min(config.axes.len());
+/// The slaves of a configuration in the order of the chain. Each drive is of the type that has the axis's mode: an AX2000, or
+/// a CiA 402 drive for position mode.
+#[must_use]
+pub fn usual_slaves(config: &Config) -> Vec<SlaveKind> {
+    let mut drives = config
+        .axes
+        .iter()
+        .take(config.bus.drives.into())
+        .map(|axis| match axis.mode {
+            AxisMode::Position => SlaveKind::Cia402,
+            _ => SlaveKind::Ax2000,
+        });
+    let mut drive = drives.next();
     let places = config
         .io
         .iter()
@@ -16,17 +26,13 @@ pub(crate) fn chain(config: &Config) -> Vec<SlaveKind> {
         .max()
         .unwrap_or(0);
     let mut chain = Vec::new();
-    while chain.len() < places || drives > 0 {
+    while chain.len() < places || drive.is_some() {
         let here = |point: &&etherpen::config::IoPoint| usize::from(point.slave) == chain.len();
         let named = config.io.iter().find(here);
         chain.push(match named.map(|point| point.direction) {
             Some(IoDirection::In) => SlaveKind::El1008,
             Some(IoDirection::Out) => SlaveKind::El2008,
-            None if drives > 0 => {
-                drives -= 1;
-                SlaveKind::Ax2000
-            }
-            None => SlaveKind::Ek1100,
+            None => std::mem::replace(&mut drive, drives.next()).unwrap_or(SlaveKind::Ek1100),
         });
     }
     chain
@@ -54,7 +60,7 @@ mod tests {
     #[test]
     fn named_places_get_terminals_and_closed_contacts_wherever_they_are() {
         let mut config = Config::default();
-        assert_eq!(chain(&config), vec![SlaveKind::Ax2000; 4]);
+        assert_eq!(usual_slaves(&config), vec![SlaveKind::Ax2000; 4]);
         let point = |slave, direction, bit, role| IoPoint {
             slave,
             direction,
@@ -78,7 +84,7 @@ mod tests {
             SlaveKind::Ek1100,
             SlaveKind::El2008,
         ];
-        assert_eq!(chain(&config), kinds);
+        assert_eq!(usual_slaves(&config), kinds);
         assert_eq!(
             (closed_contacts(&config, 1), closed_contacts(&config, 7)),
             (0b10_0001, 0)

@@ -6,7 +6,7 @@ use super::physics::{LoopKind, Physics};
 use crate::random::Random;
 use etherpen::config::{Axis, Config};
 use etherpen::robots::{Kinematics, MAIN_AXES, Position};
-use etherpen_segment::{DriveOptions, PiLoop, ResolverError, VelocityLoop};
+use etherpen_segment::{DriveOptions, PiLoop, ResolverError, Switches, VelocityLoop};
 
 /// Deceleration of a joint whose motor's brake is closed, rad/s2.
 pub(crate) const BRAKE_RAD_S2: f64 = 400.0;
@@ -70,6 +70,7 @@ impl Commissioning {
             late_share: dead_time.late_share,
             input_delay_ms: dead_time.position_cycles as usize,
             output_delay_ms: dead_time.command_cycles as usize,
+            switches: Switches::default(),
             angle_rad,
         }
     }

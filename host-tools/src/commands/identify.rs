@@ -155,6 +155,15 @@ fn print(result: &Identified) {
                 feedback.after
             ),
         }
+        if let Some(lead) = &axis.position_lead_ms {
+            eprintln!(
+                "axis {}: lead of the targets {:.3} -> {:.3} ms (+-{:.3})",
+                axis.axis,
+                lead.before,
+                lead.after,
+                lead.uncertainty.unwrap_or(0.0)
+            );
+        }
     }
     let (before, after) = (&result.tracking_before, &result.tracking_after);
     eprintln!(

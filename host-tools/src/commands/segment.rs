@@ -2,7 +2,7 @@
 
 use super::endpoint::SegmentArguments;
 use super::{CellArguments, ConfigArguments, ended_by_a_signal, print_json};
-use crate::cell::{Cell, CellOptions, SCRIPT_HELP, SlaveKind, SlaveList, read_faults};
+use crate::cell::{Cell, CellOptions, SCRIPT_HELP, SlaveList, read_faults, usual_slaves};
 use crate::error::{ProgramError, code};
 use crate::output_file::refuse_input;
 use crate::segment::control::{Control, tell as tell_segment, text};
@@ -81,7 +81,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     }
     let config = arguments.config.load()?;
     let list = arguments.slaves.clone().unwrap_or_else(|| SlaveList {
-        slaves: vec![SlaveKind::Ax2000; usize::from(config.bus.drives)],
+        slaves: usual_slaves(&config),
         ..SlaveList::default()
     });
     let names = Names::new(&list);

@@ -4,11 +4,11 @@
 
 use super::tracking;
 use crate::error::{ProgramError, code};
-use crate::identification::{self, Answer, NoAnswer, apply, test_config};
+use crate::identification::{self, Answer, NoAnswer, apply, test_config, weak_config};
 use crate::job::JobReport;
 use crate::link::text;
 use crate::settings::Settings;
-use etherpen::config::Config;
+use etherpen::config::{AxisMode, Config};
 use etherpen::robots::{AXES, MAIN_AXES};
 use serde::Serialize;
 use std::path::Path;
@@ -37,8 +37,10 @@ pub struct AxisResult {
     pub feed_forward_lead_ms: Change,
     /// Feed-forward gain.
     pub feed_forward_gain: Change,
-    /// Feedback gain, 1/s.
+    /// Feedback gain, 1/s; in position mode that of the drive's position loop.
     pub feedback_gain_per_s: Change,
+    /// Lead of the target position, ms; absent unless the axis is in position mode.
+    pub position_lead_ms: Option<Change>,
 }
 
 impl AxisResult {
@@ -65,6 +67,11 @@ impl AxisResult {
                 measured.map(|answer| answer.feed_forward_gain.uncertainty),
             ),
             feedback_gain_per_s: change(old.feedback_gain_per_s, new.feedback_gain_per_s, None),
+            position_lead_ms: (new.mode == AxisMode::Position).then(|| {
+                let lead_ms = measured.and_then(|answer| answer.position_lead_ms);
+                let uncertainty = lead_ms.map(|lead_ms| lead_ms.uncertainty);
+                change(old.position_lead_ms, new.position_lead_ms, uncertainty)
+            }),
         }
     }
 }
@@ -116,8 +123,9 @@ impl Identified {
     }
 }
 
-/// Runs the test motion, measures delay and gain of the drives, and runs the motion again with the values found. `only`
-/// limits the changes to one axis, from 0; `drive` runs the test motion of a configuration.
+/// Runs the test motion, measures delay and gain of the drives, and runs the motion again with the values found. Drives in
+/// position mode take one motion more. `only` limits the changes to one axis, from 0; `drive` runs the test motion of a
+/// configuration.
 ///
 /// # Errors
 /// Errors of `drive`, a needed axis without an estimate, or a value found that is out of bounds.
@@ -127,7 +135,13 @@ pub fn identify(
     mut drive: impl FnMut(&Config) -> Result<JobReport, ProgramError>,
 ) -> Result<Identified, ProgramError> {
     let first = drive(&test_config(config))?;
-    let answers = identification::identify(config, &first.samples);
+    let answers = match config.axes.iter().any(|axis| axis.mode == AxisMode::Position) {
+        true => {
+            let weak = drive(&test_config(&weak_config(config)))?;
+            identification::identify_with_weak(config, &first.samples, &weak.samples)
+        }
+        false => identification::identify(config, &first.samples),
+    };
     refuse_silence(&answers, only)?;
     let mut found = config.clone();
     apply(&mut found, &answers, only);

@@ -349,11 +349,12 @@ fn in_position_mode_the_velocity_of_the_drives_own_loop_is_compared_and_the_offs
     let mut axis = position_axis(12.0, 0);
     let demand = PositionDemand {
         angle_rad: 0.001,
+        velocity_rad_s: 2.0,
         forward_rad_s: 1.0,
-        expected_rad_s: 2.0,
+        correction_rad_s: 1.0,
     };
     let output = axis.output_position(DriveTarget::Enabled, Some(&demand));
-    assert_eq!((output.demand_digits, axis.sent), (16_021, 32_042));
+    assert_eq!((output.demand_digits, axis.sent), (16_021, 48_063));
     assert!(axis.commanded);
     // A hold expects what the drive's loop makes of an error beyond the one it may leave.
     axis.step(at(2_003 - 201), 0);

@@ -1,6 +1,7 @@
 //! A generic CiA 402 servo drive with variable process-data mapping.
 //!
-//! Vendor and product number belong to this project, not to a manufacturer. Modes: cyclic synchronous position (8),
+//! Vendor and product number belong to this project, not to a manufacturer. Modes: homing (6), cyclic synchronous
+//! position (8),
 //! velocity (9) and torque (10). Velocity is in the drive's velocity digits, torque in 1/1000 of the rated torque,
 //! position in increments over all turns. In position mode the drive interpolates between the targets and trips on too
 //! great a following error. It keeps files, which are written in BOOT, where its mailboxes have other places and
@@ -8,8 +9,11 @@
 
 use crate::controller::silicon::Silicon;
 use crate::devices::servo_device::Model;
+use crate::drive::homing::is_method;
 use crate::drive::servo::Servo;
-use crate::drive::{MODE_CYCLIC_POSITION, MODE_CYCLIC_TORQUE, MODE_CYCLIC_VELOCITY, Profile, RATED_TORQUE_MNM};
+use crate::drive::{
+    MODE_CYCLIC_POSITION, MODE_CYCLIC_TORQUE, MODE_CYCLIC_VELOCITY, MODE_HOMING, Profile, RATED_TORQUE_MNM,
+};
 use crate::eeprom::sii;
 use crate::eeprom::windows::Windows;
 use crate::mailbox::abort::Abort;
@@ -49,8 +53,8 @@ const WINDOWS: Windows = Windows {
         length: 300,
     },
 };
-/// Modes 8, 9 and 10: bits 7 to 9 of object 0x6502.
-const SUPPORTED_MODES: i64 = 0x0380;
+/// Modes 6, 8, 9 and 10: bits 5 and 7 to 9 of object 0x6502.
+const SUPPORTED_MODES: i64 = 0x03A0;
 
 const OBJECTS: &[ObjectRow] = &[
     variable(
@@ -141,9 +145,62 @@ const OBJECTS: &[ObjectRow] = &[
         &[(0, "Following error time out", Unsigned16, READ_WRITE, Live)],
     ),
     variable(
+        0x607C,
+        "Home offset",
+        &[(0, "Home offset", Integer32, READ_WRITE, Live)],
+    ),
+    variable(
+        0x6098,
+        "Homing method",
+        &[(0, "Homing method", Integer8, READ_WRITE, Live)],
+    ),
+    record(
+        0x6099,
+        "Homing speeds",
+        &[
+            (1, "Speed during search for switch", Unsigned32, READ_WRITE, Live),
+            (2, "Speed during search for zero", Unsigned32, READ_WRITE, Live),
+        ],
+    ),
+    variable(
+        0x609A,
+        "Homing acceleration",
+        &[(0, "Homing acceleration", Unsigned32, READ_WRITE, Live)],
+    ),
+    variable(
         0x60B1,
         "Velocity offset",
         &[(0, "Velocity offset", Integer32, READ_WRITE | RX, Live)],
+    ),
+    variable(
+        0x60B8,
+        "Touch probe function",
+        &[(0, "Touch probe function", Unsigned16, READ_WRITE | RX, Live)],
+    ),
+    variable(
+        0x60B9,
+        "Touch probe status",
+        &[(0, "Touch probe status", Unsigned16, READ | TX, Live)],
+    ),
+    variable(
+        0x60BA,
+        "Touch probe 1 positive edge",
+        &[(0, "Touch probe 1 positive edge", Integer32, READ | TX, Live)],
+    ),
+    variable(
+        0x60BB,
+        "Touch probe 1 negative edge",
+        &[(0, "Touch probe 1 negative edge", Integer32, READ | TX, Live)],
+    ),
+    variable(
+        0x60BC,
+        "Touch probe 2 positive edge",
+        &[(0, "Touch probe 2 positive edge", Integer32, READ | TX, Live)],
+    ),
+    variable(
+        0x60BD,
+        "Touch probe 2 negative edge",
+        &[(0, "Touch probe 2 negative edge", Integer32, READ | TX, Live)],
     ),
     record(
         0x60C2,
@@ -157,6 +214,11 @@ const OBJECTS: &[ObjectRow] = &[
         0x60F4,
         "Following error actual value",
         &[(0, "Following error actual value", Integer32, READ | TX, Live)],
+    ),
+    variable(
+        0x60FD,
+        "Digital inputs",
+        &[(0, "Digital inputs", Unsigned32, READ | TX, Live)],
     ),
     variable(
         0x60FF,
@@ -238,11 +300,20 @@ pub(crate) fn get(servo: &Servo, index: u16, sub: u8) -> Option<i64> {
         0x6071 => demand.torque_digits.into(),
         0x6077 => shown.torque.into(),
         0x607A => demand.position.unwrap_or(shown.position).into(),
+        0x607C => drive.homing.offset.into(),
         0x6085 => drive.quick_stop_increments_s2.into(),
+        0x6098 => drive.homing.method.into(),
+        0x6099 if sub == 1 => drive.homing.switch_speed.into(),
+        0x6099 => drive.homing.zero_speed.into(),
+        0x609A => drive.homing.acceleration.into(),
         0x60B1 => demand.velocity_offset.unwrap_or(0).into(),
+        0x60B8 => drive.probes.function.into(),
+        0x60B9 => drive.probes.status.into(),
+        0x60BA..=0x60BD => drive.probed(usize::from(index - 0x60BA)).into(),
         0x60C2 if sub == 1 => drive.position_loop.period_number.into(),
         0x60C2 => drive.position_loop.period_index.into(),
         0x60F4 => drive.position_loop.error(drive.position()).into(),
+        0x60FD => drive.digital_inputs().into(),
         0x60FF => demand.velocity_digits.into(),
         _ => return None,
     })
@@ -251,9 +322,17 @@ pub(crate) fn get(servo: &Servo, index: u16, sub: u8) -> Option<i64> {
 /// Writes an object of a CiA 402 drive.
 pub(crate) fn set(servo: &mut Servo, index: u16, sub: u8, value: i64) -> Result<(), Abort> {
     let position_loop = &mut servo.drive.position_loop;
+    let homing = &mut servo.drive.homing;
+    let unsigned = u32::try_from(value).map_err(|_| Abort::VALUE);
     match (index, value) {
+        (0x607C, _) => homing.offset = value as i32,
+        (0x6098, method) if is_method(method) => homing.method = method as i8,
+        (0x6098, _) => return Err(Abort::VALUE),
+        (0x6099, _) if sub == 1 => homing.switch_speed = unsigned?,
+        (0x6099, _) => homing.zero_speed = unsigned?,
+        (0x609A, _) => homing.acceleration = unsigned?,
         (0x6060, mode) => match i8::try_from(mode) {
-            Ok(mode @ (0 | MODE_CYCLIC_POSITION | MODE_CYCLIC_VELOCITY | MODE_CYCLIC_TORQUE)) => {
+            Ok(mode @ (0 | MODE_HOMING | MODE_CYCLIC_POSITION | MODE_CYCLIC_VELOCITY | MODE_CYCLIC_TORQUE)) => {
                 servo.drive.mode = mode;
             }
             _ => return Err(Abort::VALUE),
@@ -284,6 +363,7 @@ pub(crate) fn set_output(servo: &mut Servo, index: u16, value: i64) {
         0x6071 => demand.torque_digits = value as i16,
         0x607A => demand.position = Some(value as i32),
         0x60B1 => demand.velocity_offset = Some(value as i32),
+        0x60B8 => servo.drive.probes.function = value as u16,
         0x60FF => demand.velocity_digits = value as i32,
         _ => {}
     }

@@ -4,17 +4,21 @@
 //! The motor only moves under the velocity or torque loop (operation enabled), on a ramp (quick stop, fault reaction)
 //! or against the closed brake (all other states).
 
+pub(crate) mod homing;
 pub(crate) mod motor;
 mod options;
 pub(crate) mod position_loop;
+pub(crate) mod probe;
 pub(crate) mod resolver;
 pub(crate) mod servo;
 pub(crate) mod velocity_loop;
 
 pub use options::DriveOptions;
 
+use homing::{Homing, Marks, Switch};
 use motor::{Action, Motor};
 use position_loop::PositionLoop;
+use probe::Probes;
 use resolver::{Resolver, ResolverFault};
 use std::collections::VecDeque;
 use std::f64::consts::TAU;
@@ -24,6 +28,8 @@ use velocity_loop::{Regulator, VelocityLoop};
 pub(crate) const MODE_DIGITAL_SPEED: i8 = -2;
 /// AX2000: digital current.
 pub(crate) const MODE_DIGITAL_CURRENT: i8 = -3;
+/// CiA 402: homing.
+pub(crate) const MODE_HOMING: i8 = 6;
 /// CiA 402: cyclic synchronous position.
 pub(crate) const MODE_CYCLIC_POSITION: i8 = 8;
 /// CiA 402: cyclic synchronous velocity.
@@ -52,6 +58,8 @@ const CONTROL_SWITCH_ON: u16 = 0x0001;
 const CONTROL_ENABLE_VOLTAGE: u16 = 0x0002;
 const CONTROL_NO_QUICK_STOP: u16 = 0x0004;
 const CONTROL_ENABLE_OPERATION: u16 = 0x0008;
+/// In homing mode.
+const CONTROL_START: u16 = 0x0010;
 const CONTROL_FAULT_RESET: u16 = 0x0080;
 
 const STATUS_VOLTAGE: u16 = 0x0010;
@@ -139,6 +147,10 @@ pub(crate) struct Drive {
     mains: bool,
     resolver: Resolver,
     pub(crate) position_loop: PositionLoop,
+    pub(crate) homing: Homing,
+    pub(crate) probes: Probes,
+    /// Position at the motor's mark since the last homing, less the configured one, increments.
+    home_shift: i64,
     emergencies: VecDeque<u16>,
 }
 
@@ -167,6 +179,9 @@ impl Drive {
             mains: true,
             resolver: Resolver::new(0.0, noise_seed),
             position_loop: PositionLoop::new(options.increments_per_revolution),
+            homing: Homing::new(options.increments_per_revolution),
+            home_shift: 0,
+            probes: Probes::default(),
             emergencies: VecDeque::new(),
         };
         drive.resolver = Resolver::new(options.noise_increments / drive.increments_per_rad(), noise_seed)
@@ -189,6 +204,9 @@ impl Drive {
         self.control = 0;
         self.error_code = 0;
         self.position_loop = PositionLoop::new(self.options.increments_per_revolution);
+        self.homing = Homing::new(self.options.increments_per_revolution);
+        self.home_shift = 0;
+        self.probes = Probes::default();
         self.emergencies.clear();
         self.status = self.state.status_bits();
     }
@@ -321,6 +339,8 @@ impl Drive {
         self.motor.step(action);
         self.resolver
             .step(self.motor.angle_rad(), 1.0 / self.increments_per_rad());
+        let marks = self.marks();
+        self.probes.step(self.motor.angle_rad() * marks.per_rad, &marks);
         if self.motor.is_still() {
             self.state = match self.state {
                 DriveState::QuickStopActive => DriveState::SwitchOnDisabled,
@@ -341,6 +361,9 @@ impl Drive {
         if !(in_position_mode && self.state == DriveState::OperationEnabled) {
             self.position_loop.stop();
         }
+        if !(self.mode_display == MODE_HOMING && self.state == DriveState::OperationEnabled) {
+            self.homing.leave();
+        }
         match self.state {
             DriveState::OperationEnabled => match self.mode_display {
                 MODE_DIGITAL_SPEED | MODE_CYCLIC_VELOCITY => self.speed(demand.velocity_digits),
@@ -349,11 +372,46 @@ impl Drive {
                     Action::Torque(torque_nm.clamp(-PEAK_TORQUE_NM, PEAK_TORQUE_NM))
                 }
                 MODE_CYCLIC_POSITION => self.follow(&demand),
+                MODE_HOMING => self.home(demand.control),
                 _ => self.speed(0),
             },
             DriveState::QuickStopActive | DriveState::FaultReactionActive => self.ramp(),
             _ => Action::Brake(self.options.brake_rad_s2),
         }
+    }
+
+    /// The speed of a search for the home position; its end gives the position another origin.
+    fn home(&mut self, control: u16) -> Action {
+        let marks = self.marks();
+        let at = self.motor.angle_rad() * marks.per_rad;
+        let (speed, found) = self.homing.step(control & CONTROL_START != 0, at, &marks);
+        if let Some(home) = found {
+            let shown = home + f64::from(self.options.zero_increments);
+            self.home_shift = i64::from(self.homing.offset) - shown.floor() as i64;
+        }
+        Self::limited_speed(speed / marks.per_rad)
+    }
+
+    fn marks(&self) -> Marks {
+        Marks {
+            per_rad: self.increments_per_rad(),
+            turn: f64::from(self.options.increments_per_revolution.max(1)),
+            switches: self.options.switches,
+        }
+    }
+
+    /// Position that a touch probe has stored, objects 0x60BA to 0x60BD, from 0.
+    pub(crate) fn probed(&self, number: usize) -> i32 {
+        let place = self.probes.stored.get(number).copied().unwrap_or(0.0);
+        self.position_at(place / self.increments_per_rad())
+    }
+
+    /// Digital inputs, object 0x60FD: limit switches and home switch.
+    pub(crate) fn digital_inputs(&self) -> u32 {
+        let marks = self.marks();
+        let at = self.motor.angle_rad() * marks.per_rad;
+        let bit = |number: u32, switch| u32::from(marks.is_active(switch, at)) << number;
+        bit(0, Switch::Negative) | bit(1, Switch::Positive) | bit(2, Switch::Home)
     }
 
     fn ramp(&self) -> Action {
@@ -381,9 +439,10 @@ impl Drive {
         Self::limited_speed(correction_rad_s + forward_rad_s)
     }
 
-    /// Bits of the status word in cyclic synchronous position.
+    /// Bits of the status word in cyclic synchronous position and in homing.
     fn following_bits(&self) -> u16 {
         match (self.position_loop.follows(), self.position_loop.is_outside()) {
+            (false, _) if self.mode_display == MODE_HOMING => self.homing.status_bits(),
             (false, _) => 0,
             (true, false) => STATUS_FOLLOWS,
             (true, true) => STATUS_FOLLOWS | STATUS_FOLLOWING_ERROR,
@@ -486,7 +545,7 @@ impl Drive {
         let turn = shaft_rad * self.increments_per_rad() + f64::from(self.options.zero_increments);
         match self.profile {
             Profile::Ax2000 => turn.floor().rem_euclid(increments) as i32,
-            Profile::Cia402 => turn.floor() as i64 as i32,
+            Profile::Cia402 => (turn.floor() as i64).wrapping_add(self.home_shift) as i32,
         }
     }
 }

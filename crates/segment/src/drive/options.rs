@@ -1,5 +1,6 @@
 //! What a drive and its motor are like.
 
+use super::homing::Switches;
 use super::resolver::ResolverError;
 use super::velocity_loop::VelocityLoop;
 
@@ -40,6 +41,8 @@ pub struct DriveOptions {
     pub input_delay_ms: usize,
     /// Age of a command when the motor obeys it, ms; at most 100.
     pub output_delay_ms: usize,
+    /// Limit and home switches.
+    pub switches: Switches,
     /// Angle of the motor at the start, rad.
     pub angle_rad: f64,
 }
@@ -64,6 +67,7 @@ impl Default for DriveOptions {
             late_share: 0.0,
             input_delay_ms: 1,
             output_delay_ms: 1,
+            switches: Switches::default(),
             angle_rad: 0.0,
         }
     }

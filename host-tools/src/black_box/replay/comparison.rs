@@ -162,7 +162,7 @@ impl<'a> Comparison<'a> {
     /// not recorded.
     fn compares_since_before(&self, axis: usize) -> bool {
         let settings = self.config.axes.get(axis);
-        !self.begins_without_power || settings.is_some_and(|axis| axis.mode == AxisMode::Torque)
+        !self.begins_without_power || settings.is_some_and(|axis| axis.mode != AxisMode::Velocity)
     }
 
     /// What differs between a sample and the replay.

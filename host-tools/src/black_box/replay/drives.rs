@@ -5,10 +5,10 @@
 
 use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState, RxToken, TxToken};
 use etherpen::board::Interlock;
-use etherpen::config::{Config, Transport};
+use etherpen::config::{AxisMode, Config, Transport};
 use etherpen::control::sampler::{CycleReport, OUTPUT_LATE_NS, Queued, Sampler, SamplerCommand};
 use etherpen::drives::io::{BusState, GroupDrive, IoGroup, IoTrigger};
-use etherpen::drives::{DriveInput, DriveOutput, MemoryGroup, ax2000};
+use etherpen::drives::{DriveInput, DriveOutput, MemoryGroup, ax2000, generic};
 use etherpen::ethercat::cyclic::{Arrival, BusCounters, ExchangeKind};
 use etherpen::ethercat::encapsulation::Encapsulation;
 use etherpen::ethercat::frame_port::FramePort;
@@ -53,7 +53,10 @@ impl Queues {
     pub(super) fn new(config: &Config) -> Box<Self> {
         let drives = config.axes.map(|axis| {
             Some(GroupDrive {
-                kind: &ax2000::AX2000,
+                kind: match axis.mode {
+                    AxisMode::Velocity | AxisMode::Torque => &ax2000::AX2000,
+                    AxisMode::Position => &generic::GENERIC,
+                },
                 mode: axis.mode,
                 operational: true,
                 generation: 0,

@@ -95,7 +95,7 @@ fn stretch<'c>(contents: &'c Contents, config: &Config) -> Result<&'c [SampleEnt
         let are_there = recent.is_some_and(|recent| recent.iter().all(|sample| sample.valid == [true; AXES]));
         let is_uniform = sample.homed == [false; AXES] || sample.homed == [true; AXES] && are_there;
         let is_after = configured_ms.is_none_or(|ms| sample.t_ms.wrapping_sub(ms) < u32::MAX / 2);
-        is_uniform && is_after && (has_no_power(sample) || !by_torque(config))
+        is_uniform && is_after && (has_no_power(sample) || !without_velocity(config))
     };
     let fault = after.iter().position(|sample| sample.fault);
     let last = fault.unwrap_or(after.len()).saturating_sub(SETTLED_MS);
@@ -126,8 +126,8 @@ fn speed_rad_s(pair: &[SampleEntry]) -> f32 {
     moved.fold(0.0, |most, (one, next)| most.max((next - one).abs() * 1e3))
 }
 
-fn by_torque(config: &Config) -> bool {
-    config.axes.iter().any(|axis| axis.mode == AxisMode::Torque)
+fn without_velocity(config: &Config) -> bool {
+    config.axes.iter().any(|axis| axis.mode != AxisMode::Velocity)
 }
 
 /// Whether no drive has power, so that the controllers have forgotten all motion.

@@ -1,8 +1,9 @@
 //! What happens to the operator and the machine: events at their times, commands beside the session, and the healing.
 
 use super::super::episode::{Event, What};
+use super::super::judge::product;
 use super::{Board, FIRST_BESIDE, Operator};
-use crate::cell::Fault;
+use crate::cell::{Fault, Product};
 use etherpen::ethercat::diagnostics::ServiceRequest;
 use etherpen::ethercat::state::AlState;
 use etherpen::link::frame::{FRAME_BYTES_MAX, decode, encode};
@@ -108,7 +109,13 @@ impl Operator<'_> {
             self.inject(&format!("stuck {slave} 0"));
         }
         for slave in std::mem::take(&mut self.swapped) {
-            self.inject(&format!("swap {slave} ax2000"));
+            let own = self.config.axes.get(slave - 1).map(product);
+            let name = if own == Some(Product::Cia402) {
+                "cia402"
+            } else {
+                "ax2000"
+            };
+            self.inject(&format!("swap {slave} {name}"));
         }
         self.judge.healed();
         (self.jog, self.job) = (None, self.job.wrapping_add(1));
