@@ -5,7 +5,7 @@
 
 use benchmarks::ethercrab_master::{EthercrabMaster, Storage};
 use benchmarks::etherpen_master::EtherpenMaster;
-use benchmarks::{CASES, CYCLES, Meter, measure};
+use benchmarks::{CASES, CYCLES, DRIVES, Meter, measure};
 use etherpen::robot_bus::RobotBusQueues;
 use std::process::ExitCode;
 
@@ -44,7 +44,7 @@ fn main() -> ExitCode {
         return ExitCode::from(2);
     };
     match subject.as_str() {
-        "etherpen" => measure::<Callgrind>(&mut EtherpenMaster::new(&mut RobotBusQueues::new(), case)),
+        "etherpen" => measure::<Callgrind>(&mut EtherpenMaster::<DRIVES>::new(&mut RobotBusQueues::new(), case)),
         "ethercrab" => measure::<Callgrind>(&mut EthercrabMaster::new(&STORAGE, case)),
         _ => {
             eprintln!("there is no subject {subject}");

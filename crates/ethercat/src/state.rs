@@ -21,6 +21,10 @@ pub const INIT_TIMEOUT_MS: u32 = 5_000;
 pub const PRE_OPERATIONAL_TIMEOUT_MS: u32 = 3_000;
 /// Longest wait for SAFEOP and for OP, ms.
 pub const OPERATIONAL_TIMEOUT_MS: u32 = 10_000;
+/// A slave that changes its state is asked each millisecond for so long, ms.
+const ASKED_OFTEN_MS: u32 = 10;
+/// Pause between questions to a slave that takes longer, ms: it may wait for SYNC0 to begin.
+const ASKED_SELDOM_MS: u32 = 4;
 /// Longest wait for a slave's processor to read a request before the caller is told, ms.
 pub const READ_TIMEOUT_MS: u32 = 3_000;
 /// Reads without an answer after which a slave counts as absent.
@@ -189,8 +193,11 @@ pub async fn acknowledge<const MESSAGE: usize>(
     station: u16,
 ) -> Result<AlReport, BusError> {
     let before = report(port, station).await?;
+    if !before.is_flagged() {
+        return Ok(before);
+    }
     let state = u16::from(before.status) & register::AL_STATE_MASK;
-    if !before.is_flagged() || !before.is_error() && !request(port, station, state).await?.is_flagged() {
+    if !before.is_error() && !request(port, station, state).await?.is_flagged() {
         return report(port, station).await;
     }
     request(port, station, state | register::AL_ERROR_BIT).await?;
@@ -277,6 +284,9 @@ pub async fn change<const MESSAGE: usize>(
                 code: now.code,
             });
         } else {
+            if port.now_ms().wrapping_sub(started_ms) > ASKED_OFTEN_MS {
+                port.wait_ms(ASKED_SELDOM_MS).await;
+            }
             now = report(port, station).await?;
         }
         let waited_ms = port.now_ms().wrapping_sub(started_ms);

@@ -1,8 +1,8 @@
 //! Number of frames that a master needs until four identical drives are in OP, with their clocks set.
 //!
 //! Both masters use a freshly powered-up virtual cell of one kind. This project's master also writes ten objects to
-//! each drive, which count; ethercrab only does its default steps. Frames of this master that only carry the cyclic
-//! datagrams and the reference clock's time, while the clocks settle, are counted apart. The cell's time advances with the frames: a
+//! each drive, which count; ethercrab only does its default steps. Frames of this master that carry cyclic datagrams only,
+//! most of them while the clocks settle, are counted apart. The cell's time advances with the frames: a
 //! millisecond for each cycle of this master, a round trip of 100 us for each frame of ethercrab, which waits for
 //! replies only.
 
@@ -40,28 +40,30 @@ fn all_operational(cell: &Cell) -> bool {
 /// Frames of a bring-up.
 #[derive(Clone, Copy, Debug, Default)]
 pub(super) struct Frames {
-    /// All but [`Self::settling`].
+    /// Frames with an acyclic datagram.
     pub(super) acyclic: u64,
-    /// Frames that carry nothing but cyclic datagrams, the reference clock's time among them.
-    pub(super) settling: u64,
+    /// Frames of cyclic datagrams only: process data, AL status, and the reference clock's time.
+    pub(super) cyclic: u64,
 }
 
-/// Whether a telegram carries the reference clock's time and nothing that is not cyclic.
-fn is_settling(telegram: &[u8]) -> bool {
+/// Whether a telegram carries cyclic datagrams only.
+fn is_cyclic(telegram: &[u8]) -> bool {
     let Ok(view) = FrameView::new_checked(telegram) else {
         return false;
     };
-    let (mut clocks, mut others) = (0, 0);
-    for datagram in view.datagrams().flatten() {
+    let mut states = 0;
+    view.datagrams().flatten().all(|datagram| {
         let register = (datagram.address().0 >> 16) as u16;
         match Command::from_number(datagram.command_number()) {
-            Ok(Command::Lrd | Command::Lwr | Command::Lrw) => {}
-            Ok(Command::Brd) if register == register::AL_STATUS => {}
-            Ok(Command::Frmw) if register == register::DC_SYSTEM_TIME => clocks += 1,
-            _ => others += 1,
+            Ok(Command::Lrd | Command::Lwr | Command::Lrw) => true,
+            Ok(Command::Frmw) => register == register::DC_SYSTEM_TIME,
+            Ok(Command::Brd) => {
+                states += 1;
+                register == register::AL_STATUS && states == 1
+            }
+            _ => false,
         }
-    }
-    clocks > 0 && others == 0
+    })
 }
 
 /// Frames of this project's bring-up.
@@ -79,7 +81,7 @@ pub(super) fn etherpen() -> Result<Frames, BenchError> {
     if application.commands.enqueue(BusCommand::Start(setup)).is_err() {
         return Err(failed("etherpen", "no room for the order"));
     }
-    let mut settling = 0;
+    let mut cyclic = 0;
     for now_ms in 0..BRING_UP_MS_MAX {
         for (output, time_us) in [(false, now_ms * 1000), (true, now_ms * 1000 + OUTPUT_AFTER_US)] {
             let telegram = if output {
@@ -87,7 +89,7 @@ pub(super) fn etherpen() -> Result<Frames, BenchError> {
             } else {
                 exchange.input_telegram()
             };
-            settling += u64::from(is_settling(telegram));
+            cyclic += u64::from(is_cyclic(telegram));
             for reply in cell.frame(time_us, telegram) {
                 exchange.receive(&reply);
             }
@@ -98,8 +100,8 @@ pub(super) fn etherpen() -> Result<Frames, BenchError> {
         while let Some(event) = application.events.dequeue() {
             match event {
                 BusEvent::Operational if all_operational(&cell) => {
-                    let acyclic = cell.state().frames.saturating_sub(settling);
-                    return Ok(Frames { acyclic, settling });
+                    let acyclic = cell.state().frames.saturating_sub(cyclic);
+                    return Ok(Frames { acyclic, cyclic });
                 }
                 BusEvent::Refused { .. } => return Err(failed("etherpen", format_args!("{event:?}"))),
                 _ => {}

@@ -22,7 +22,7 @@ const CYCLE_INSTRUCTIONS_MAX: f64 = 560.0;
 const SLAVE_INSTRUCTIONS_MAX: f64 = 60.0;
 /// Most static memory of a master for 16 slaves, bytes.
 const RAM_BYTES_MAX: f64 = 32_768.0;
-/// Most frames, without those of settling clocks, until four identical drives are in OP.
+/// Most acyclic frames until four identical drives with clocks are in OP.
 const BRING_UP_FRAMES_MAX: f64 = 400.0;
 
 /// A row that is selected but not measured yet.
@@ -43,9 +43,9 @@ enum Measure {
     Callgrind(&'static str),
     /// The size of an image.
     Code,
-    /// Acyclic frames to OP.
+    /// Acyclic frames to OP, with clocks.
     BringUp,
-    /// Cyclic frames while the clocks settle, of this project's master.
+    /// Cyclic frames to OP, most of them while the clocks settle; of this project's master.
     Settling,
 }
 
@@ -137,7 +137,7 @@ pub fn run(selection: &Selection, mut progress: impl FnMut(&str)) -> Result<Benc
                 image.saturating_sub(programs::code_bytes("code_none")?)
             }
             Measure::BringUp if subject == "etherpen" => bring_up::etherpen()?.acyclic,
-            Measure::Settling => bring_up::etherpen()?.settling,
+            Measure::Settling => bring_up::etherpen()?.cyclic,
             Measure::BringUp => bring_up::ethercrab()?,
         };
         let value = value as f64;

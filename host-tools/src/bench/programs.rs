@@ -48,6 +48,8 @@ pub(super) fn build(machine: Machine, programs: &[&str]) -> Result<(), BenchErro
     let manifest = setup::workspace().join("benchmarks/Cargo.toml");
     let mut command = setup::cargo();
     command.args(["build", "--release", "--locked", "--manifest-path"]);
+    // Incremental builds inline less: the figures would depend on the caller's environment.
+    command.env("CARGO_INCREMENTAL", "0");
     command.arg(&manifest).arg("--target-dir").arg(build_dir());
     if machine == Machine::CortexM7 {
         setup::ensure_target()?;

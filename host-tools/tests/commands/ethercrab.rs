@@ -3,7 +3,8 @@
 use crate::network::Network;
 use crate::program::{Folder, Running, etherpen};
 use ethercrab::std::{ethercat_now, tx_rx_task};
-use ethercrab::{MainDevice, MainDeviceConfig, PduStorage, Timeouts, error::Error};
+use ethercrab::subdevice_group::DcConfiguration;
+use ethercrab::{DcSupport, DcSync, MainDevice, MainDeviceConfig, PduStorage, Timeouts, error::Error};
 use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::task::{Context, Poll, Wake, Waker};
@@ -29,7 +30,35 @@ const DEMAND: i32 = 14_000;
 const WATCHDOG_DIVIDER: (u16, u16) = (0x0400, 2_498);
 const WATCHDOG_TIME: (u16, u16) = (0x0420, 60_000);
 
-static STORAGE: PduStorage<16, { PduStorage::element_size(1100) }> = PduStorage::new();
+type Storage = PduStorage<16, { PduStorage::element_size(1100) }>;
+
+/// The storages of the two tests: each can be used once.
+static STORAGE: Storage = PduStorage::new();
+static MIXED_STORAGE: Storage = PduStorage::new();
+
+/// Coupler, terminals and drives of two makers.
+const MIXED: &str = "ek1100,el1008,el2004,ax2000,cia402,cia402";
+/// Clocks as ethercrab sees them. A terminal's features announce one; whether it has a clock, only its register tells.
+const MIXED_CLOCKS: [DcSupport; 6] = [
+    DcSupport::RefOnly,
+    DcSupport::Bits64,
+    DcSupport::Bits64,
+    DcSupport::Bits64,
+    DcSupport::Bits64,
+    DcSupport::Bits64,
+];
+/// First drive of the mixed chain, and the place of its EL2004.
+const MIXED_DRIVES_FROM: usize = 3;
+const EL2004: usize = 2;
+/// Inputs add 1, outputs 2: EL1008, EL2004, and both for each of three drives.
+const MIXED_WORKING_COUNTER: u16 = 1 + 2 + 3 * 3;
+const SYNC0: Duration = Duration::from_millis(1);
+/// Start of the pulses after their configuration.
+const SYNC0_DELAY: Duration = Duration::from_millis(100);
+/// Activation of SYNC0 and its period, registers; the activation of the pulses.
+const SYNC_ACTIVATION: u16 = 0x0981;
+const SYNC0_PERIOD: u16 = 0x09A0;
+const SYNC0_ACTIVE: u8 = 3;
 
 struct Unpark(Thread);
 
@@ -139,22 +168,72 @@ async fn run(maindevice: &MainDevice<'_>) -> Result<(usize, usize), Error> {
     Ok((cycles, wrong))
 }
 
-#[test]
-fn ethercrab_enables_the_four_drives_and_exchanges_ten_thousand_cycles_without_a_wrong_counter() {
-    let Some(network) = Network::new("the test with ethercrab") else {
-        return;
+/// The mixed chain from power-up to OP with SYNC0 pulses; returns the cycles and the wrong working counters.
+async fn run_mixed(maindevice: &MainDevice<'_>) -> Result<(usize, usize), Error> {
+    let mut group = maindevice
+        .init_single_group::<SLAVES_MAX, IMAGE_BYTES>(ethercat_now)
+        .await?;
+    let clocks: Vec<_> = group.iter(maindevice).map(|slave| slave.dc_support()).collect();
+    assert_eq!(clocks, MIXED_CLOCKS);
+    for mut drive in group.iter_mut(maindevice).skip(MIXED_DRIVES_FROM) {
+        for (register, value) in [WATCHDOG_DIVIDER, WATCHDOG_TIME] {
+            drive.register_write(register, value).await?;
+        }
+        drive.set_dc_sync(DcSync::Sync0);
+    }
+    let group = group.into_pre_op_pdi(maindevice).await?;
+    let clocks = DcConfiguration {
+        start_delay: SYNC0_DELAY,
+        sync0_period: SYNC0,
+        sync0_shift: Duration::ZERO,
     };
+    let group = group.configure_dc_sync(maindevice, clocks).await?;
+    let group = group.into_safe_op(maindevice).await?;
+    let group = group.request_into_op(maindevice).await?;
+    let mut before_op = 0;
+    while !group.tx_rx_dc(maindevice).await?.all_op() {
+        before_op += 1;
+        assert!(before_op < OBEY_CYCLES_MAX, "not in OP");
+    }
+    for drive in group.iter(maindevice).skip(MIXED_DRIVES_FROM) {
+        assert_eq!(drive.register_read::<u8>(SYNC_ACTIVATION).await?, SYNC0_ACTIVE);
+        let period_ns = drive.register_read::<u32>(SYNC0_PERIOD).await?;
+        assert_eq!(u128::from(period_ns), SYNC0.as_nanos());
+    }
+    let mut wrong = 0;
+    for cycle in 0..CYCLES {
+        for terminal in group.iter(maindevice).skip(EL2004).take(1) {
+            terminal.outputs_raw_mut().fill((cycle & 0xF) as u8);
+        }
+        let response = group.tx_rx_dc(maindevice).await?;
+        wrong += usize::from(response.working_counter != MIXED_WORKING_COUNTER);
+        assert!(response.all_op(), "cycle {cycle}: {:?}", response.subdevice_states);
+    }
+    Ok((CYCLES, wrong))
+}
+
+/// Runs ethercrab against a segment of these slaves; `None` where it cannot be done.
+fn exchange(
+    test: &str,
+    slaves: Option<&str>,
+    storage: &'static Storage,
+    work: impl AsyncFnOnce(&MainDevice<'_>) -> Result<(usize, usize), Error> + Send,
+) -> Option<(usize, usize)> {
+    let network = Network::new(test)?;
     let folder = Folder::new();
     let [at_segment, at_master] = network.interfaces();
     let mut program = etherpen(&folder);
     program.args(["segment", "--interface", at_segment]);
+    if let Some(slaves) = slaves {
+        program.args(["--slaves", slaves]);
+    }
     let mut segment = Running::start(&mut network.command(0, &program));
     segment.wait_for("segment", |running| {
         running.stdout().contains("interface:").then_some(())
     });
     let result = std::thread::scope(|scope| {
         let master = network.spawn(scope, 1, || {
-            let (tx, rx, pdu_loop) = STORAGE.try_split().expect("this is the only test that uses it");
+            let (tx, rx, pdu_loop) = storage.try_split().expect("each test has its storage");
             let timeouts = Timeouts {
                 pdu: Duration::from_secs(10),
                 eeprom: Duration::from_secs(10),
@@ -169,11 +248,26 @@ fn ethercrab_enables_the_four_drives_and_exchanges_ten_thousand_cycles_without_a
             };
             let maindevice = MainDevice::new(pdu_loop, timeouts, config);
             let driver = tx_rx_task(at_master, tx, rx).expect("root may open the interface");
-            drive(pin!(driver), run(&maindevice))
+            drive(pin!(driver), work(&maindevice))
         });
         master.join().expect("the master's thread")
     });
     let (cycles, wrong) = result.unwrap_or_else(|error| panic!("{error:?}; segment: {}", segment.stderr()));
     println!("{cycles} cycles, {wrong} wrong working counters");
-    assert_eq!(wrong, 0, "of {cycles}");
+    Some((cycles, wrong))
+}
+
+#[test]
+fn ethercrab_enables_the_four_drives_and_exchanges_ten_thousand_cycles_without_a_wrong_counter() {
+    if let Some((cycles, wrong)) = exchange("the test with ethercrab", None, &STORAGE, run) {
+        assert_eq!(wrong, 0, "of {cycles}");
+    }
+}
+
+#[test]
+fn ethercrab_sees_the_clocks_of_a_mixed_chain_and_brings_it_to_op_with_sync0() {
+    let test = "the test with ethercrab and terminals";
+    if let Some((cycles, wrong)) = exchange(test, Some(MIXED), &MIXED_STORAGE, run_mixed) {
+        assert_eq!(wrong, 0, "of {cycles}");
+    }
 }

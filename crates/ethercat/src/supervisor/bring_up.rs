@@ -419,13 +419,13 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             Address::logical(share.input_address),
             share.input_length.into(),
         );
+        self.port.wait_ms(OUTPUTS_BEFORE_OPERATIONAL_MS).await;
         loop {
             let (_, answers) = self.port.answered(&request).await?;
-            let waited_ms = self.port.now_ms().wrapping_sub(started_ms);
-            let settled = waited_ms >= OUTPUTS_BEFORE_OPERATIONAL_MS;
-            if settled && (answers > 0 || share.input_length == 0) {
+            if answers > 0 || share.input_length == 0 {
                 return Ok(());
             }
+            let waited_ms = self.port.now_ms().wrapping_sub(started_ms);
             if waited_ms > INPUTS_TIMEOUT_MS {
                 return Err(BusError::NoInputs { waited_ms });
             }
