@@ -133,7 +133,7 @@ impl Coordinator<'_> {
     /// Passes the lamps' state on when it changes.
     pub(super) fn show_mode(&mut self) {
         let lit = Lamps::single(self.application.mode(), self.now_ms as u32);
-        if self.io.lamp == Some(lit) || self.ends.sampler_commands.len() > 0 {
+        if self.io.lamp == Some(lit) || !self.ends.sampler_commands.is_empty() {
             return;
         }
         self.io.lamp = Some(lit);

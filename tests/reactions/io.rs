@@ -202,7 +202,7 @@ fn a_lost_terminal_with_a_stop_stops_the_robot_and_comes_back_after_the_acknowle
         for percent in [10, 100] {
             let mut robot = BEHIND.fast(percent);
             let speed = robot.speed_rad_s();
-            robot.inject(fault.clone());
+            robot.inject(fault);
             let after_ms = robot.brakes_after_ms();
             let limit_ms = u32::from(BEHIND.config().bus.blind_max_ms) + QUICK_STOP_MAX_MS;
             println!("{fault:?}, {percent} %, {speed:.2} rad/s: all drives brake after {after_ms} ms of {limit_ms}");
@@ -249,7 +249,7 @@ fn a_terminal_without_a_stop_is_reported_and_disturbs_no_drawing() {
         robot.set(IO_VALVE, 1).unwrap();
         robot = robot.in_a_drawing();
         assert!(robot.io(IO_VALVE).valid && robot.outputs(7) & 2 != 0);
-        robot.inject(fault.clone());
+        robot.inject(fault);
         robot.run(200);
         assert_eq!((robot.mode(), robot.fault()), (Mode::Drawing, None), "{fault:?}");
         assert!(!robot.io(IO_VALVE).valid && robot.io(IO_STOP).valid, "{fault:?}");

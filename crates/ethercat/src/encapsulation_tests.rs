@@ -54,7 +54,7 @@ fn plan(exchange: ExchangeKind) -> CyclicPlan<NoDrivers, SLAVES> {
             is_spread: true,
             time_number: 0,
         }),
-        al_bits_ignored: 0,
+        ..CyclicPlan::default()
     }
 }
 

@@ -69,7 +69,7 @@ impl Choice {
                 is_spread: self.flags & 16 == 0,
                 time_number: 0,
             }),
-            al_bits_ignored: 0,
+            ..CyclicPlan::default()
         }
     }
 
