@@ -252,9 +252,10 @@ impl Io {
         let states = self.values.iter_mut().zip(&mut self.missing_ms);
         let points = self.points.iter().zip(&mut self.places).zip(states);
         for (io, ((point, place), (value, missing_ms))) in (0_u8..).zip(points) {
+            let (slave, direction) = (point.slave.into(), point.direction.into());
             let found = match point.bit {
-                Some(bit) => group.terminal_bits(point.slave.into(), point.direction.into(), bit, point.bits),
-                None => group.terminal_object(io.into()),
+                Some(bit) => group.terminal_bits(slave, direction, bit, point.bits),
+                None => group.terminal_object(slave, direction, io.into(), point.bits),
             };
             if found.is_none() {
                 *missing_ms = u16::MAX;

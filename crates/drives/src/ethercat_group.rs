@@ -116,17 +116,17 @@ where
     }
 
     fn terminal_bits(&self, slave: usize, direction: Direction, bit: u16, bits: u8) -> Option<ValuePlace<u32>> {
-        let share = self.exchange.plan().slaves.get(slave)?;
+        let plan = self.exchange.plan();
         // The slave is watched from OP on, until it is seen in another state.
-        let is_in_operation = share.is_terminal && share.watched;
+        let is_in_operation = plan.slaves.get(slave)?.watched && plan.terminals.contains(slave);
         self.exchange
             .bits(slave, direction, bit, bits)
             .filter(|_| is_in_operation)
     }
 
-    fn terminal_object(&self, number: usize) -> Option<ValuePlace<u32>> {
-        let found = self.exchange.plan().values.get(number).copied()??;
-        self.terminal_bits(found.slave.into(), found.direction, found.bit, found.bits)
+    fn terminal_object(&self, slave: usize, direction: Direction, number: usize, bits: u8) -> Option<ValuePlace<u32>> {
+        let bit = self.exchange.plan().values.get(number)?.bit()?;
+        self.terminal_bits(slave, direction, bit, bits)
     }
 
     #[inline]

@@ -5,12 +5,13 @@
 
 use super::super::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
 use super::super::clock::{self, BusClocks};
-use super::super::cyclic::{CyclicPlan, CyclicSlave, FoundValue, PlanError, ReferenceClock, VALUES_MAX};
+use super::super::cyclic::{CyclicPlan, CyclicSlave, PlanError, ReferenceClock, VALUES_MAX, ValueBit};
 use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
 use super::super::event::{BusEvent, BusSetup};
 use super::super::process_data;
 use super::super::slave::{Condition, Slave};
+use super::super::slave_set::SlaveSet;
 use super::super::state::{AlReport, AlState};
 use super::super::wire::{Address, Command, register};
 use super::inbox::{Expectation, STATUS_MASK};
@@ -34,7 +35,7 @@ pub(super) struct Bus<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     pub(super) setup: BusSetup<F>,
     pub(super) slaves: Vec<Slave<F>, SLAVES>,
     /// Where the values are that the application wants.
-    pub(super) values: [Option<FoundValue>; VALUES_MAX],
+    pub(super) values: [ValueBit; VALUES_MAX],
     pub(super) clocks: BusClocks<SLAVES>,
     /// Number of the clocks' present time.
     pub(super) time_number: u8,
@@ -60,7 +61,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             events,
             setup: BusSetup::default(),
             slaves: Vec::new(),
-            values: [None; VALUES_MAX],
+            values: [ValueBit::MISSING; VALUES_MAX],
             clocks: BusClocks::default(),
             time_number: 0,
             ordered: 0,
@@ -200,6 +201,11 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             exchange: self.setup.exchange,
             clock: self.reference_clock(),
             values: self.values,
+            terminals: (0..)
+                .zip(&self.slaves)
+                .filter(|(_, slave)| slave.is_terminal)
+                .map(|(number, _)| number)
+                .collect(),
         }
     }
 
@@ -237,7 +243,6 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
     pub(super) async fn send_safe_plan(&mut self) {
         let slaves = self.slaves.iter().map(|slave| CyclicSlave {
             role: None,
-            is_terminal: false,
             watched: false,
             ..process_data::cyclic_slave(slave)
         });
@@ -246,7 +251,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             exchange: self.setup.exchange,
             al_bits_ignored: STATUS_MASK,
             clock: self.reference_clock(),
-            values: [None; VALUES_MAX],
+            values: [ValueBit::MISSING; VALUES_MAX],
+            terminals: SlaveSet::NONE,
         };
         while let Err(back) = self.plans.enqueue(plan) {
             plan = back;
