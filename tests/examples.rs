@@ -76,8 +76,8 @@ fn follows(chain: &mut Chain, tried: &mut usize) -> bool {
     let Some(inputs) = PATTERNS.get(*tried) else {
         return true;
     };
-    chain.segment.set_inputs(1, &[*inputs]);
-    *tried += usize::from(chain.segment.outputs(2) == Some(vec![*inputs & 0x0F]));
+    chain.segment.set_inputs(2, &[*inputs]);
+    *tried += usize::from(chain.segment.outputs(3) == Some(vec![*inputs & 0x0F]));
     false
 }
 

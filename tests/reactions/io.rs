@@ -7,6 +7,7 @@ use crate::{STILL_RAD_S, assert_described_standstill, assert_recovers_and_draws}
 use etherpen::application::{Fault, InputCause, IoRefusal, Mode, Refusal};
 use etherpen::board::{Interlock, Lamps};
 use etherpen::config::{Config, IoDirection, IoError, IoPoint, IoRole, IoType, ObjectName, OnFault};
+use etherpen::ethercat::cyclic::ExchangeKind;
 use etherpen::messages::{Command, ConfigRefusal, IoState};
 use host_tools::cell::{AlState, CellOptions, DriveState, Fault as CellFault, SlaveKind, parse_slaves};
 
@@ -33,15 +34,18 @@ struct Chain {
     list: &'static str,
     /// Place of the EL1008, from 0; the EL2004 is behind it.
     inputs: u8,
+    exchange: ExchangeKind,
 }
 
 const BEHIND: Chain = Chain {
     list: "ax2000*4,ek1100,el1008,el2004",
     inputs: 5,
+    exchange: ExchangeKind::Split,
 };
 const BEFORE: Chain = Chain {
     list: "ek1100,el1008,el2004,ax2000*4",
     inputs: 1,
+    exchange: ExchangeKind::Combined,
 };
 
 impl Chain {
@@ -51,6 +55,7 @@ impl Chain {
 
     fn config(self) -> Config {
         let mut config = Config::default();
+        config.bus.exchange = self.exchange;
         let point = |name: &str, direction, bit, role| IoPoint {
             name: name.try_into().unwrap(),
             slave: self.inputs + u8::from(direction == IoDirection::Out),

@@ -26,6 +26,7 @@ mod robot;
 mod shrink;
 #[cfg(test)]
 mod soak;
+mod terminals;
 mod trouble;
 mod world;
 
