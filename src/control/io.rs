@@ -155,6 +155,16 @@ impl Io {
         }
     }
 
+    /// Switches off the outputs that do not keep their values at a fault.
+    #[cold]
+    pub fn switch_off(&mut self) {
+        for (point, value) in self.points.iter().zip(&mut self.values) {
+            if point.direction == IoDirection::Out && !point.is_kept {
+                *value = 0;
+            }
+        }
+    }
+
     /// The points in this millisecond.
     #[inline]
     pub const fn report(&self) -> &IoReport {

@@ -390,6 +390,25 @@ fn outputs_are_set_when_the_mode_allows_and_fall_to_their_safe_state_at_a_fault(
 }
 
 #[test]
+fn a_stop_over_the_link_and_a_lost_drive_switch_the_outputs_off_too() {
+    for lost in [false, true] {
+        let mut robot = BEHIND.robot().enabled();
+        robot.set(IO_VALVE, 1).unwrap();
+        robot.set(IO_LIGHT, 1).unwrap();
+        robot.run(10);
+        assert_eq!(robot.outputs(7) & 6, 6);
+        match lost {
+            true => robot.inject(CellFault::Drive(2, 0x2310)),
+            false => robot.command(Command::Stop).unwrap(),
+        }
+        robot.run(40);
+        assert_eq!(robot.outputs(7) & 6, 4, "lost: {lost}");
+        assert_recovers_and_draws(&mut robot);
+        assert_eq!(robot.outputs(7) & 6, 4, "lost: {lost}");
+    }
+}
+
+#[test]
 fn an_open_hold_holds_the_drawing_and_start_resumes_it() {
     let mut robot = BEHIND.robot().enabled().in_a_drawing();
     robot.set_inputs(6, CLOSED & !HOLD);
