@@ -137,7 +137,7 @@ impl Coordinator<'_> {
     pub(super) fn follow_mode(&mut self) {
         let has_fault = self.application.fault().is_some();
         let had_fault = core::mem::replace(&mut self.io.had_fault, has_fault);
-        if has_fault && !had_fault {
+        if has_fault && !had_fault && !self.io.points.is_empty() {
             self.tell_sampler(SamplerCommand::SwitchOutputsOff);
         }
         self.show_mode();
