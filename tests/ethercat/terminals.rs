@@ -4,6 +4,7 @@ use crate::rig::{Rig, idle_rig_of};
 use etherpen::drives::cia402::{DriveState, DriveTarget};
 use etherpen::ethercat::configure::Direction;
 use etherpen::ethercat::cyclic::ExchangeKind;
+use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::event::WantedValue;
 use etherpen::ethercat::place::Place;
 use etherpen::ethercat::slave_set::SlaveSet;
@@ -218,6 +219,43 @@ fn a_terminal_that_cannot_be_read_is_refused_and_the_drives_operate() {
         rig.cell.set_inputs(2, &[0x3C]);
         rig.run_ms(THROUGH_MS);
         assert_eq!(rig.input_bits(1, 0, 8), Some(0x3C), "{fault:?}: {:#?}", rig.log);
+    }
+}
+
+#[test]
+fn a_chain_in_which_a_named_place_may_be_another_slave_waits_for_the_missing_one() {
+    // Without the coupler, the outputs would stand at the place of the inputs.
+    for removed in [5, 6, 7, 2] {
+        let mut rig = rig_of(
+            parse_slaves("ax2000*4,ek1100,el1008,el2004").unwrap(),
+            ExchangeKind::Split,
+        );
+        rig.setup.terminals = SlaveSet::places(&[5, 6]);
+        rig.cell.inject(Fault::Remove(removed));
+        rig.start();
+        rig.wait_for(BRING_UP_MS_MAX, |event| matches!(event, BusEvent::Refused { .. }));
+        let refused = rig.log.iter().find_map(|event| match event {
+            BusEvent::Refused { error, .. } => Some(*error),
+            _ => None,
+        });
+        let (expected, actual) = (7, 6);
+        assert_eq!(
+            refused,
+            Some(BusError::SlaveCount { expected, actual }),
+            "slave {removed}"
+        );
+        rig.run_ms(500);
+        assert!(rig.input_bits(5, 0, 8).is_none());
+        rig.cell.inject(Fault::Insert(removed));
+        rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+        rig.run_ms(20);
+        rig.cell.set_inputs(6, &[0x5A]);
+        assert!(rig.set_output_bits(6, 0, 4, 0x3));
+        rig.run_ms(THROUGH_MS);
+        assert_eq!(
+            (rig.input_bits(5, 0, 8), rig.cell.outputs(7)),
+            (Some(0x5A), Some(vec![0x3]))
+        );
     }
 }
 

@@ -29,8 +29,7 @@ fn kinds(episode: &Episode) -> Option<Vec<&str>> {
             | What::StopInput(_)
             | What::SubstituteClock(_)
             | What::TrajectoryWaits(_)
-            | What::PortDown(_)
-            | What::Contacts(..) => return None,
+            | What::PortDown(_) => return None,
         }
     }
     kinds.sort_unstable();

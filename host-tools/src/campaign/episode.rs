@@ -27,9 +27,6 @@ pub struct Episode {
     pub patience_ms: u32,
     /// Whether the drives are expected to follow well enough to draw: the last drawing has to come out right.
     pub draws: bool,
-    /// Whether terminals with named inputs and outputs are behind the drives.
-    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
-    pub terminals: bool,
     /// Wishes of the operator, carried out one after the other, again and again.
     #[serde(default)]
     pub wishes: Vec<Wish>,
@@ -83,9 +80,6 @@ pub enum What {
     TrajectoryWaits(u32),
     /// The Ethernet port reports no link for some milliseconds.
     PortDown(u32),
-    /// These contacts of the terminals, one bit each, are open instead of closed, or the other way round, for some
-    /// milliseconds.
-    Contacts(u8, u32),
 }
 
 /// A wish of the operator, carried out when the robot is enabled and at rest.
@@ -155,14 +149,10 @@ impl Episode {
             });
             *found.ok_or_else(|| format!("the configuration has no value {place}"))? = value.clone();
         }
-        let mut config: Config = table.try_into().map_err(|cause: toml::de::Error| cause.to_string())?;
+        let config: Config = table.try_into().map_err(|cause: toml::de::Error| cause.to_string())?;
         config
             .check()
             .map_err(|cause| crate::link::text::config_error(&cause))?;
-        if self.terminals {
-            config.io = super::terminals::points();
-        }
-        config.check_io().map_err(|cause| crate::link::text::io_error(&cause))?;
         Ok(config)
     }
 

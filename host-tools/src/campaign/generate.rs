@@ -5,7 +5,7 @@
 
 use super::chance::Chance;
 use super::episode::{Episode, Event, Figure, What, Wish};
-use super::{figures, terminals, trouble};
+use super::{figures, trouble};
 use clap::ValueEnum;
 use etherpen::config::Config;
 use etherpen::messages::Command;
@@ -32,8 +32,6 @@ pub enum Profile {
     Board,
     /// Commands at any time, several in one millisecond.
     Operator,
-    /// Terminals behind the drives: contacts that open and close, terminals that fail.
-    Terminals,
 }
 
 /// Longest time of an episode before everything is healed, ms.
@@ -56,7 +54,6 @@ pub fn episode(seed: u64, profile: Profile) -> Episode {
         duration_ms,
         patience_ms: chance.scaled(10.0, 1_000.0) as u32,
         draws: true,
-        terminals: profile == Profile::Terminals,
         wishes,
         figures,
         config: configuration(&mut chance),
@@ -148,8 +145,6 @@ pub(super) fn what(chance: &mut Chance, profile: Profile) -> What {
             2 => What::PortDown(chance.milliseconds(2_000)),
             _ => What::StopInput(chance.milliseconds(2_000)),
         },
-        Profile::Terminals if chance.one_in(4) => What::Fault(trouble::of_the_bus(chance)),
-        Profile::Terminals => terminals::event(chance),
         Profile::Operator | Profile::All | Profile::Quiet if chance.one_in(2) => What::Beside(command(chance)),
         Profile::Operator | Profile::All | Profile::Quiet => What::Command(command(chance)),
     }

@@ -26,7 +26,6 @@ mod robot;
 mod shrink;
 #[cfg(test)]
 mod soak;
-mod terminals;
 mod trouble;
 mod world;
 

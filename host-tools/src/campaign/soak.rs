@@ -128,7 +128,6 @@ fn episode(seed: u64, duration_ms: u32, portrait: Figure) -> Episode {
         duration_ms,
         patience_ms: 300,
         draws: true,
-        terminals: false,
         wishes: vec![Wish::Draw(0)],
         figures: vec![portrait],
         config: BTreeMap::new(),

@@ -1,6 +1,5 @@
 //! What is true in an episode: the cell with its motors and ink, and every frame on the wire.
 
-use super::terminals;
 use crate::cell::{Cell, Fault, Truth};
 use crate::emulator::Segment;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -76,12 +75,6 @@ impl World {
     /// Injects a fault now.
     pub(super) fn inject(&self, fault: Fault) {
         self.inside().cell.inject(fault);
-    }
-
-    /// Sets the terminals' contacts: those in `changed`, one bit each, are not as in operation.
-    pub(super) fn set_contacts(&self, changed: u8) {
-        let inputs = terminals::CLOSED ^ changed;
-        self.inside().cell.set_inputs(terminals::INPUTS_NUMBER, &[inputs]);
     }
 
     /// Lets a fault of frames hit each of the next `count` frames, after those that an earlier one of its kind hits.

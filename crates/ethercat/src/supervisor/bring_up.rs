@@ -16,6 +16,7 @@ use super::super::event::{BusEvent, Step, WantedValue};
 use super::super::mailbox::Mailbox;
 use super::super::process_data;
 use super::super::slave::{Condition, Slave};
+use super::super::slave_set::SlaveSet;
 use super::super::state::{self, AlReport, AlState};
 use super::super::wire::sii::PROTOCOL_COE;
 use super::super::wire::{Address, Command, register};
@@ -77,9 +78,19 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         Ok(())
     }
 
+    /// Fewest slaves of a chain that can be brought up: with one missing before the last terminal that is named, the places
+    /// would be those of other slaves.
+    pub(super) fn fewest_slaves(&self) -> u16 {
+        let named = match self.setup.terminals {
+            SlaveSet::ALL => 0,
+            places => places.last().map_or(0, |last| last as u16 + 1),
+        };
+        named.max(self.setup.members.into())
+    }
+
     /// Waits until as many slaves as expected are there and their number is stable.
     async fn discover(&mut self) -> Result<u16, BusError> {
-        let expected = u16::from(self.setup.members);
+        let expected = self.fewest_slaves();
         let (started_ms, mut found, mut since_ms) = (self.port.now_ms(), 0, self.port.now_ms());
         loop {
             let answer = self.port.broadcast_read_u16(register::AL_STATUS).await;

@@ -1,7 +1,6 @@
 //! What happens to the operator and the machine: events at their times, commands beside the session, and the healing.
 
 use super::super::episode::{Event, What};
-use super::super::terminals;
 use super::{Board, FIRST_BESIDE, Operator};
 use crate::cell::Fault;
 use etherpen::ethercat::diagnostics::ServiceRequest;
@@ -46,10 +45,6 @@ impl Operator<'_> {
             What::SubstituteClock(duration_ms) => self.board.substitute_until_ms = until(*duration_ms),
             What::TrajectoryWaits(duration_ms) => {
                 self.board.trajectory_until_ms = until(*duration_ms);
-                self.judge.disturbed(self.now_ms, Some((*duration_ms).into()));
-            }
-            What::Contacts(contacts, duration_ms) => {
-                (self.board.contacts, self.board.contacts_until_ms) = (*contacts, until(*duration_ms));
                 self.judge.disturbed(self.now_ms, Some((*duration_ms).into()));
             }
             What::PortDown(duration_ms) => {
@@ -111,9 +106,6 @@ impl Operator<'_> {
             self.inject(&format!("insert {slave}"));
             self.inject(&format!("sii {slave} whole"));
             self.inject(&format!("stuck {slave} 0"));
-        }
-        for slave in terminals::NUMBERS.filter(|_| self.episode.terminals) {
-            self.inject(&format!("insert {slave}"));
         }
         for slave in std::mem::take(&mut self.swapped) {
             self.inject(&format!("swap {slave} ax2000"));

@@ -13,7 +13,6 @@ use super::episode::{Episode, Figure};
 use super::ink;
 use super::judge::{Judge, ink_limit_mm};
 use super::line::Line;
-use super::terminals;
 use super::world::World;
 use super::{Failure, Rule};
 use crate::black_box;
@@ -61,9 +60,6 @@ struct Board {
     substitute_until_ms: u32,
     trajectory_until_ms: u32,
     port_until_ms: u32,
-    /// Contacts of the terminals that are not as in operation, one bit each.
-    contacts: u8,
-    contacts_until_ms: u32,
 }
 
 /// The operator.
@@ -356,15 +352,7 @@ impl Host for Operator<'_> {
                 self.happen(event);
             }
         }
-        let contacts = if ms < self.board.contacts_until_ms {
-            self.board.contacts
-        } else {
-            0
-        };
-        if episode.terminals {
-            self.world.set_contacts(contacts);
-        }
-        let stop_open = ms < self.board.stop_until_ms || contacts & terminals::STOP != 0;
+        let stop_open = ms < self.board.stop_until_ms;
         let verdict = {
             let (world, judge) = (&self.world, &mut self.judge);
             world.look(|cell, frames| judge.moment(ms, &cell.truth(), frames, stop_open))
