@@ -1,8 +1,8 @@
 //! Named inputs and outputs of terminals in the critical task.
 //!
 //! Each millisecond the inputs are read when the drives' inputs are, and the outputs are written with the drives'
-//! outputs. An input that stops the drives is judged here, so that the quick stop leaves in the millisecond in which the
-//! input arrived.
+//! outputs. An input that stops the drives is judged here, so that the quick stop leaves in the millisecond in which
+//! the input arrived.
 //!
 //! Invariants: an output whose terminal is not in operation is requested anew before it is written again; at a fault
 //! every output that does not keep its value becomes 0 in the same millisecond; without points nothing is done.

@@ -403,6 +403,7 @@ fn a_stop_over_the_link_and_a_lost_drive_switch_the_outputs_off_too() {
         }
         robot.run(40);
         assert_eq!(robot.outputs(7) & 6, 4, "lost: {lost}");
+        robot.wait_for(Mode::Fault);
         assert_recovers_and_draws(&mut robot);
         assert_eq!(robot.outputs(7) & 6, 4, "lost: {lost}");
     }

@@ -1,9 +1,9 @@
 //! A slave's own process data: what it exchanges without a driver, and which sync managers carry it.
 //!
-//! The SII lists the sync managers (ETG.2010, category 41); terminals without a mailbox begin with sync manager 0. What a
-//! sync manager carries is listed by CoE (0x1C10 + its number names the process data objects assigned to it), or by the
-//! SII for slaves without CoE and for lists that are missing there. The data of a direction lie in the order of its sync
-//! managers, those of each from a whole byte on.
+//! The SII lists the sync managers (ETG.2010, category 41); terminals without a mailbox begin with sync manager 0. What
+//! a sync manager carries is listed by CoE (0x1C10 + its number names the process data objects assigned to it), or by the
+//! SII for slaves without CoE and for lists that are missing there. The data of a direction lie in the order of its
+//! sync managers, those of each from a whole byte on.
 //!
 //! Invariant: only what the application has chosen is written; every list and every wait ends.
 
@@ -120,8 +120,8 @@ pub async fn choose<const MESSAGE: usize>(
     Ok(())
 }
 
-/// Finds the process data of a slave in PREOP; `mailbox` if it supports CoE. Passes each entry to `take` with the bit at
-/// which it begins in all data of its direction.
+/// Finds the process data of a slave in PREOP; `mailbox` if it supports CoE. Passes each entry to `take` with the bit
+/// at which it begins in all data of its direction.
 ///
 /// # Errors
 /// [`BusError::SyncManagers`] for data in too many sync managers, or errors of the SII and the mailbox.
