@@ -120,7 +120,7 @@ pub enum IoRole {
     None,
     /// Input, closed (1) in operation. Open or missing, it stops the drives at once, and keeps them stopped.
     EmergencyStop,
-    /// Input, closed (1) in operation. Open or missing, it stops drives that have power, and keeps them from getting it.
+    /// Input, closed (1) in operation. Open or missing, it stops drives that have power, and keeps others without it.
     Door,
     /// Input, closed (1) in operation. Open or missing, it holds the drawing on its path.
     Hold,

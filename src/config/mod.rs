@@ -19,7 +19,6 @@ pub use io::{
 
 use crate::ethercat::clock::Settling;
 use crate::ethercat::event::WantedValue;
-use crate::ethercat::slave_set::SlaveSet;
 use crate::ethercat::wire::coe::Object;
 use crate::hash::fnv1a;
 use crate::robot_bus::{PERIOD_NS, RobotBusSetup};
@@ -100,7 +99,7 @@ impl Config {
             members: self.bus.drives,
             terminals: self.terminals(),
             values: self.wanted_values(),
-            chosen: Vec::new(),
+            chosen: &[],
             settings: self.axes.each_ref().map(Axis::drive),
             exchange: self.bus.exchange,
             cycle_ns: PERIOD_NS,
@@ -127,12 +126,13 @@ impl Config {
     fn wanted_values(&self) -> Vec<WantedValue, IO_MAX> {
         let wanted = |point: &IoPoint| {
             let object = point.object.unwrap_or(ObjectName { index: 0, sub: 0 });
-            WantedValue {
-                slave: point.slave,
-                direction: point.direction.into(),
-                object: Object::new(object.index, object.sub),
-                bits: if point.object.is_some() { point.kind.bits() } else { 0 },
-            }
+            let bits = if point.object.is_some() { point.kind.bits() } else { 0 };
+            WantedValue::new(
+                point.slave,
+                point.direction.into(),
+                Object::new(object.index, object.sub),
+                bits,
+            )
         };
         self.io.iter().map(wanted).collect()
     }

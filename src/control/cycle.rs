@@ -51,6 +51,9 @@ pub enum SamplerCommand {
     ClearFault,
     /// Use these inputs and outputs of terminals.
     ConfigureIo(IoPlaces),
+    /// Switch off the outputs that do not keep their values at a fault, because of a fault that the critical tasks do not
+    /// detect.
+    SwitchOutputsOff,
     /// Request the value of an output.
     SetOutput {
         /// The output, from 0.

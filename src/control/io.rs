@@ -1,8 +1,8 @@
 //! Named inputs and outputs of terminals in the critical task.
 //!
 //! Each millisecond the inputs are read when the drives' inputs are, and the outputs are written with the drives'
-//! outputs. An input that stops the drives is judged here, so that the quick stop leaves in the millisecond in which the
-//! input arrived.
+//! outputs. An input that stops the drives is judged here, so that the quick stop leaves in the millisecond in which
+//! the input arrived.
 //!
 //! Invariants: an output whose terminal is not in operation is requested anew before it is written again; at a fault
 //! every output that does not keep its value becomes 0 in the same millisecond; without points nothing is done.
@@ -155,6 +155,16 @@ impl Io {
         }
     }
 
+    /// Switches off the outputs that do not keep their values at a fault.
+    #[cold]
+    pub fn switch_off(&mut self) {
+        for (point, value) in self.points.iter().zip(&mut self.values) {
+            if point.direction == IoDirection::Out && !point.is_kept {
+                *value = 0;
+            }
+        }
+    }
+
     /// The points in this millisecond.
     #[inline]
     pub const fn report(&self) -> &IoReport {
@@ -252,9 +262,10 @@ impl Io {
         let states = self.values.iter_mut().zip(&mut self.missing_ms);
         let points = self.points.iter().zip(&mut self.places).zip(states);
         for (io, ((point, place), (value, missing_ms))) in (0_u8..).zip(points) {
+            let (slave, direction) = (point.slave.into(), point.direction.into());
             let found = match point.bit {
-                Some(bit) => group.terminal_bits(point.slave.into(), point.direction.into(), bit, point.bits),
-                None => group.terminal_object(io.into()),
+                Some(bit) => group.terminal_bits(slave, direction, bit, point.bits),
+                None => group.terminal_object(slave, direction, io.into(), point.bits),
             };
             if found.is_none() {
                 *missing_ms = u16::MAX;

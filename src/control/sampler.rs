@@ -371,6 +371,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
                     self.io.configure(points);
                     self.spares_terminals = self.io.spares_terminals();
                 }
+                SamplerCommand::SwitchOutputsOff => self.io.switch_off(),
                 SamplerCommand::SetOutput { io, value } => self.io.request(io, value),
                 SamplerCommand::ClearFault => {
                     self.supervision.clear();

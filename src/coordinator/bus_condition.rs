@@ -32,7 +32,6 @@ pub fn bus_condition(event: &BusEvent) -> Option<BusCondition> {
         | BusEvent::Slave { .. }
         | BusEvent::Repaired { .. }
         | BusEvent::Waiting { .. }
-        | BusEvent::TerminalRefused { .. }
         | BusEvent::Stopped
         | BusEvent::Emergency { .. }
         | BusEvent::CableErrors { .. } => return None,

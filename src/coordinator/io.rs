@@ -33,6 +33,8 @@ pub(super) struct Io {
     changes: u32,
     /// Value of the lamps last passed on.
     lamp: Option<bool>,
+    /// Whether a fault was latched in the last millisecond.
+    had_fault: bool,
 }
 
 impl Io {
@@ -43,6 +45,7 @@ impl Io {
             spared: SlaveSet::NONE,
             changes: 0,
             lamp: None,
+            had_fault: false,
         }
     }
 
@@ -130,10 +133,19 @@ impl Coordinator<'_> {
         ));
     }
 
-    /// Passes the lamps' state on when it changes.
-    pub(super) fn show_mode(&mut self) {
+    /// Switches the outputs off at a fault, and passes the lamps' state on when it changes.
+    pub(super) fn follow_mode(&mut self) {
+        let has_fault = self.application.fault().is_some();
+        let had_fault = core::mem::replace(&mut self.io.had_fault, has_fault);
+        if has_fault && !had_fault && !self.io.points.is_empty() {
+            self.tell_sampler(SamplerCommand::SwitchOutputsOff);
+        }
+        self.show_mode();
+    }
+
+    fn show_mode(&mut self) {
         let lit = Lamps::single(self.application.mode(), self.now_ms as u32);
-        if self.io.lamp == Some(lit) || self.ends.sampler_commands.len() > 0 {
+        if self.io.lamp == Some(lit) || !self.ends.sampler_commands.is_empty() {
             return;
         }
         self.io.lamp = Some(lit);

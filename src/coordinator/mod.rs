@@ -220,7 +220,7 @@ impl<'a> Coordinator<'a> {
         {
             self.carry_out(action);
         }
-        self.show_mode();
+        self.follow_mode();
     }
 
     /// Whether the path was abandoned since the last call: the drives are stopping by themselves, and no more vertices

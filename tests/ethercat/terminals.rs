@@ -4,6 +4,7 @@ use crate::rig::{Rig, idle_rig_of};
 use etherpen::drives::cia402::{DriveState, DriveTarget};
 use etherpen::ethercat::configure::Direction;
 use etherpen::ethercat::cyclic::ExchangeKind;
+use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::event::WantedValue;
 use etherpen::ethercat::place::Place;
 use etherpen::ethercat::slave_set::SlaveSet;
@@ -222,17 +223,49 @@ fn a_terminal_that_cannot_be_read_is_refused_and_the_drives_operate() {
 }
 
 #[test]
+fn a_chain_in_which_a_named_place_may_be_another_slave_waits_for_the_missing_one() {
+    // Without the coupler, the outputs would stand at the place of the inputs.
+    for removed in [5, 6, 7, 2] {
+        let mut rig = rig_of(
+            parse_slaves("ax2000*4,ek1100,el1008,el2004").unwrap(),
+            ExchangeKind::Split,
+        );
+        rig.setup.terminals = SlaveSet::places(&[5, 6]);
+        rig.cell.inject(Fault::Remove(removed));
+        rig.start();
+        rig.wait_for(BRING_UP_MS_MAX, |event| matches!(event, BusEvent::Refused { .. }));
+        let refused = rig.log.iter().find_map(|event| match event {
+            BusEvent::Refused { error, .. } => Some(*error),
+            _ => None,
+        });
+        let (expected, actual) = (7, 6);
+        assert_eq!(
+            refused,
+            Some(BusError::SlaveCount { expected, actual }),
+            "slave {removed}"
+        );
+        rig.run_ms(500);
+        assert!(rig.input_bits(5, 0, 8).is_none());
+        rig.cell.inject(Fault::Insert(removed));
+        rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+        rig.run_ms(20);
+        rig.cell.set_inputs(6, &[0x5A]);
+        assert!(rig.set_output_bits(6, 0, 4, 0x3));
+        rig.run_ms(THROUGH_MS);
+        assert_eq!(
+            (rig.input_bits(5, 0, 8), rig.cell.outputs(7)),
+            (Some(0x5A), Some(vec![0x3]))
+        );
+    }
+}
+
+#[test]
 fn outputs_become_0_when_the_bus_is_stopped_and_values_are_found_by_their_objects() {
     let mut rig = rig_of(
         parse_slaves("ek1100,el1008,el2004,ax2000*4").unwrap(),
         ExchangeKind::Split,
     );
-    let wanted = |slave, direction, index, bits| WantedValue {
-        slave,
-        direction,
-        object: Object::new(index, 1),
-        bits,
-    };
+    let wanted = |slave, direction, index, bits| WantedValue::new(slave, direction, Object::new(index, 1), bits);
     let asked = [
         wanted(1, Direction::Inputs, 0x6000, 1),
         wanted(1, Direction::Inputs, 0x6070, 1),
@@ -245,18 +278,18 @@ fn outputs_become_0_when_the_bus_is_stopped_and_values_are_found_by_their_object
     rig.start();
     rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
     rig.run_ms(20);
-    let found: Vec<bool> = (0..7)
-        .map(|number| rig.group.exchange().value::<u64>(number).is_some())
+    let found: Vec<bool> = (0..asked.len())
+        .map(|number| rig.group.exchange().value::<u64>(number, &asked[number]).is_some())
         .collect();
-    assert_eq!(found, [true, true, true, false, false, false, false]);
+    assert_eq!(found, [true, true, true, false, false, false]);
     for inputs in [0x00, 0x01, 0x80, 0x7E, 0x81] {
         rig.cell.set_inputs(2, &[inputs]);
         rig.run_ms(THROUGH_MS);
         let exchange = rig.group.exchange();
-        let read = |number| exchange.get(&exchange.value::<bool>(number).unwrap());
+        let read = |number| exchange.get(&exchange.value::<bool>(number, &asked[number]).unwrap());
         assert_eq!((read(0), read(1)), (Some(inputs & 1 != 0), Some(inputs & 0x80 != 0)));
     }
-    let place = rig.group.exchange().value::<bool>(2).unwrap();
+    let place = rig.group.exchange().value::<bool>(2, &asked[2]).unwrap();
     assert!(rig.group.exchange_mut().set(&place, true));
     rig.run_ms(THROUGH_MS);
     assert_eq!(rig.cell.outputs(3), Some(vec![0x04]));

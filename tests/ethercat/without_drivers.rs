@@ -47,7 +47,7 @@ impl Bench {
         cycle_us: u64,
         exchange: ExchangeKind,
         values: &[WantedValue],
-        chosen: &[ChosenEntry],
+        chosen: &'static [ChosenEntry],
     ) -> Self {
         let queues = Box::leak(Box::new(Queues::new()));
         let (exchange_end, supervisor_end, mut application) = queues.split();
@@ -59,7 +59,7 @@ impl Bench {
             ..BusSetup::default()
         };
         setup.values.extend(values.iter().copied());
-        setup.chosen.extend(chosen.iter().copied());
+        setup.chosen = chosen;
         assert!(application.commands.enqueue(BusCommand::Start(setup)).is_ok());
         let options = SegmentOptions {
             slaves: slaves.to_vec(),
@@ -140,12 +140,7 @@ impl Bench {
 }
 
 fn word(slave: u8, direction: Direction, index: u16, bits: u8) -> WantedValue {
-    WantedValue {
-        slave,
-        direction,
-        object: Object::new(index, 0),
-        bits,
-    }
+    WantedValue::new(slave, direction, Object::new(index, 0), bits)
 }
 
 #[test]
@@ -168,15 +163,15 @@ fn drives_are_exchanged_by_the_objects_that_they_list_and_terminals_by_their_mem
             assert_eq!(state.al_state, AlState::Operational, "slave {slave}: {:#?}", bench.log);
         }
         let word = |bench: &Bench, number: usize| -> u16 {
-            let place = bench.exchange.value::<u16>(number).expect("a place");
+            let place = bench.exchange.value::<u16>(number, &values[number]).expect("a place");
             bench.exchange.get(&place).expect("a value")
         };
         let control = |bench: &mut Bench, number: usize, value: u16| {
-            let place = bench.exchange.value::<u16>(number).expect("a place");
+            let place = bench.exchange.value::<u16>(number, &values[number]).expect("a place");
             assert!(bench.exchange.set(&place, value));
         };
         assert!(
-            bench.exchange.value::<i32>(4).is_some(),
+            bench.exchange.value::<i32>(4, &values[4]).is_some(),
             "the position of the CiA 402 drive"
         );
         for (status, command) in [(0, 1), (2, 3)] {
@@ -252,30 +247,32 @@ fn any_cycle_time_from_250_us_to_10_ms_brings_a_chain_up_exchanges_and_repairs_i
 
 #[test]
 fn chosen_process_data_are_assigned_mapped_and_found_where_they_lie() {
-    let entry = |index, bits| Entry::new(Object::new(index, 0), bits);
-    let chosen = |manager, pdo, entry| ChosenEntry {
-        slave: 1,
-        manager,
-        pdo,
-        entry: Some(entry),
-    };
+    const fn chosen(manager: u8, pdo: u16, index: u16, bits: u8) -> ChosenEntry {
+        ChosenEntry {
+            slave: 1,
+            manager,
+            pdo,
+            entry: Some(Entry::new(Object::new(index, 0), bits)),
+        }
+    }
+    const CHOICE: [ChosenEntry; 4] = [
+        chosen(3, 0x1A00, 0x6064, 32),
+        chosen(3, 0x1A00, 0x6041, 16),
+        chosen(2, 0x1600, 0x60FF, 32),
+        chosen(2, 0x1600, 0x6040, 16),
+    ];
+    const ODD: [ChosenEntry; 1] = [chosen(3, 0x1A00, 0x2FFF, 32)];
     let values = [
         word(1, Direction::Inputs, 0x6064, 32),
         word(1, Direction::Inputs, 0x6041, 16),
         word(1, Direction::Outputs, 0x6040, 16),
         word(1, Direction::Outputs, 0x60FF, 32),
     ];
-    let choice = [
-        chosen(3, 0x1A00, entry(0x6064, 32)),
-        chosen(3, 0x1A00, entry(0x6041, 16)),
-        chosen(2, 0x1600, entry(0x60FF, 32)),
-        chosen(2, 0x1600, entry(0x6040, 16)),
-    ];
     let chain = [SlaveKind::Ek1100, SlaveKind::Cia402, SlaveKind::El2004];
-    let mut bench = Bench::chosen(&chain, 1_000, ExchangeKind::Split, &values, &choice);
+    let mut bench = Bench::chosen(&chain, 1_000, ExchangeKind::Split, &values, &CHOICE);
     bench.operational();
     let plan = bench.exchange.plan();
-    let bits: Vec<u16> = plan.values.iter().flatten().map(|found| found.bit).collect();
+    let bits: Vec<u16> = plan.values.iter().filter_map(|value| value.bit()).collect();
     assert_eq!(
         bits,
         [0, 32, 32, 0],
@@ -284,7 +281,10 @@ fn chosen_process_data_are_assigned_mapped_and_found_where_they_lie() {
     );
     let share = &plan.slaves[1];
     assert_eq!((share.input_length, share.output_length), (6, 6));
-    let (status, command) = (bench.exchange.value::<u16>(1), bench.exchange.value::<u16>(2));
+    let (status, command) = (
+        bench.exchange.value::<u16>(1, &values[1]),
+        bench.exchange.value::<u16>(2, &values[2]),
+    );
     let (status, command) = (status.expect("a place"), command.expect("a place"));
     for (control, expected) in [(0x0006, 0x21), (0x0007, 0x23), (0x0000, 0x40)] {
         assert!(bench.exchange.set(&command, control));
@@ -292,8 +292,7 @@ fn chosen_process_data_are_assigned_mapped_and_found_where_they_lie() {
         assert_eq!(bench.exchange.get(&status).map(|word| word & 0x6F), Some(expected));
     }
     // What the slave cannot map is refused with its object, and the others operate.
-    let odd = [chosen(3, 0x1A00, entry(0x2FFF, 32))];
-    let mut bench = Bench::chosen(&chain, 1_000, ExchangeKind::Split, &values, &odd);
+    let mut bench = Bench::chosen(&chain, 1_000, ExchangeKind::Split, &values, &ODD);
     bench.operational();
     let refused = |event: &BusEvent| {
         matches!(event, BusEvent::TerminalRefused { position: 1, error: BusError::SdoAbort { object, .. }, .. }

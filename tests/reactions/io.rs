@@ -7,6 +7,7 @@ use crate::{STILL_RAD_S, assert_described_standstill, assert_recovers_and_draws}
 use etherpen::application::{Fault, InputCause, IoRefusal, Mode, Refusal};
 use etherpen::board::{Interlock, Lamps};
 use etherpen::config::{Config, IoDirection, IoError, IoPoint, IoRole, IoType, ObjectName, OnFault};
+use etherpen::ethercat::cyclic::ExchangeKind;
 use etherpen::messages::{Command, ConfigRefusal, IoState};
 use host_tools::cell::{AlState, CellOptions, DriveState, Fault as CellFault, SlaveKind, parse_slaves};
 
@@ -33,15 +34,18 @@ struct Chain {
     list: &'static str,
     /// Place of the EL1008, from 0; the EL2004 is behind it.
     inputs: u8,
+    exchange: ExchangeKind,
 }
 
 const BEHIND: Chain = Chain {
     list: "ax2000*4,ek1100,el1008,el2004",
     inputs: 5,
+    exchange: ExchangeKind::Split,
 };
 const BEFORE: Chain = Chain {
     list: "ek1100,el1008,el2004,ax2000*4",
     inputs: 1,
+    exchange: ExchangeKind::Combined,
 };
 
 impl Chain {
@@ -51,6 +55,7 @@ impl Chain {
 
     fn config(self) -> Config {
         let mut config = Config::default();
+        config.bus.exchange = self.exchange;
         let point = |name: &str, direction, bit, role| IoPoint {
             name: name.try_into().unwrap(),
             slave: self.inputs + u8::from(direction == IoDirection::Out),
@@ -202,7 +207,7 @@ fn a_lost_terminal_with_a_stop_stops_the_robot_and_comes_back_after_the_acknowle
         for percent in [10, 100] {
             let mut robot = BEHIND.fast(percent);
             let speed = robot.speed_rad_s();
-            robot.inject(fault.clone());
+            robot.inject(fault);
             let after_ms = robot.brakes_after_ms();
             let limit_ms = u32::from(BEHIND.config().bus.blind_max_ms) + QUICK_STOP_MAX_MS;
             println!("{fault:?}, {percent} %, {speed:.2} rad/s: all drives brake after {after_ms} ms of {limit_ms}");
@@ -249,7 +254,7 @@ fn a_terminal_without_a_stop_is_reported_and_disturbs_no_drawing() {
         robot.set(IO_VALVE, 1).unwrap();
         robot = robot.in_a_drawing();
         assert!(robot.io(IO_VALVE).valid && robot.outputs(7) & 2 != 0);
-        robot.inject(fault.clone());
+        robot.inject(fault);
         robot.run(200);
         assert_eq!((robot.mode(), robot.fault()), (Mode::Drawing, None), "{fault:?}");
         assert!(!robot.io(IO_VALVE).valid && robot.io(IO_STOP).valid, "{fault:?}");
@@ -382,6 +387,26 @@ fn outputs_are_set_when_the_mode_allows_and_fall_to_their_safe_state_at_a_fault(
     robot.set(IO_VALVE, 1).unwrap();
     robot.run(5);
     assert_eq!(robot.outputs(7) & 6, 6);
+}
+
+#[test]
+fn a_stop_over_the_link_and_a_lost_drive_switch_the_outputs_off_too() {
+    for lost in [false, true] {
+        let mut robot = BEHIND.robot().enabled();
+        robot.set(IO_VALVE, 1).unwrap();
+        robot.set(IO_LIGHT, 1).unwrap();
+        robot.run(10);
+        assert_eq!(robot.outputs(7) & 6, 6);
+        match lost {
+            true => robot.inject(CellFault::Drive(2, 0x2310)),
+            false => robot.command(Command::Stop).unwrap(),
+        }
+        robot.run(40);
+        assert_eq!(robot.outputs(7) & 6, 4, "lost: {lost}");
+        robot.wait_for(Mode::Fault);
+        assert_recovers_and_draws(&mut robot);
+        assert_eq!(robot.outputs(7) & 6, 4, "lost: {lost}");
+    }
 }
 
 #[test]

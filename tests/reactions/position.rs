@@ -1,7 +1,7 @@
 //! Position mode with faults: what the motors and the ink do when targets are missing, late or false, and afterwards.
 
 use crate::feedback::{apart_mm, with};
-use crate::robot::{Robot, path};
+use crate::robot::Robot;
 use crate::{STILL_RAD_S, assert_described_standstill, assert_recovers_and_draws};
 use etherpen::application::{Fault, Mode};
 use etherpen::config::{AxisMode, Config};

@@ -14,6 +14,8 @@ use etherpen_ethercat::place::Place as ValuePlace;
 /// Where a member's values are.
 #[derive(Clone, Copy, Debug)]
 struct Place {
+    /// Place of the drive in the chain, from 0.
+    slave: u8,
     layout: ProcessLayout,
     inputs: InputPlace,
     outputs: OutputPlace,
@@ -73,6 +75,7 @@ where
             let role = share.and_then(|share| share.role);
             let whole = role.filter(|role| u16::from(role.layout.input_length) <= length);
             *place = slave.zip(whole).map(|(slave, role)| Place {
+                slave: slave as u8,
                 layout: role.layout,
                 inputs: self.exchange.input_place(slave),
                 outputs: self.exchange.output_place(slave),
@@ -134,17 +137,17 @@ where
     }
 
     fn terminal_bits(&self, slave: usize, direction: Direction, bit: u16, bits: u8) -> Option<ValuePlace<u32>> {
-        let share = self.exchange.plan().slaves.get(slave)?;
+        let plan = self.exchange.plan();
         // The slave is watched from OP on, until it is seen in another state.
-        let is_in_operation = share.is_terminal && share.watched;
+        let is_in_operation = plan.slaves.get(slave)?.watched && plan.terminals.contains(slave);
         self.exchange
             .bits(slave, direction, bit, bits)
             .filter(|_| is_in_operation)
     }
 
-    fn terminal_object(&self, number: usize) -> Option<ValuePlace<u32>> {
-        let found = self.exchange.plan().values.get(number).copied()??;
-        self.terminal_bits(found.slave.into(), found.direction, found.bit, found.bits)
+    fn terminal_object(&self, slave: usize, direction: Direction, number: usize, bits: u8) -> Option<ValuePlace<u32>> {
+        let bit = self.exchange.plan().values.get(number)?.bit()?;
+        self.terminal_bits(slave, direction, bit, bits)
     }
 
     #[inline]

@@ -97,10 +97,10 @@ pub trait IoGroup {
         None
     }
 
-    /// Place of the wanted value of this number
-    /// ([`BusSetup::values`](etherpen_ethercat::event::BusSetup::values)); `None` unless its terminal is in operation
-    /// and exchanges it.
-    fn terminal_object(&self, _number: usize) -> Option<Place<u32>> {
+    /// Place of a wanted value of `bits` bits, which has this number in
+    /// [`BusSetup::values`](etherpen_ethercat::event::BusSetup::values), in the process data of the terminal at a place
+    /// in the chain; `None` unless the terminal is in operation and exchanges it.
+    fn terminal_object(&self, _slave: usize, _direction: Direction, _number: usize, _bits: u8) -> Option<Place<u32>> {
         None
     }
 

@@ -15,8 +15,8 @@ use super::driver::{Role, SlaveFactory};
 use super::encapsulation::{Encapsulation, Opened};
 pub use super::observation::{AlStatus, Arrival, BusCounters, IGNORED_KINDS, Ignored, Observation};
 pub use super::plan::{
-    CyclicPlan, CyclicSlave, ExchangeKind, FoundValue, PROCESS_BYTES_MAX, PlanError, ReferenceClock, SPAN_BYTES_MAX,
-    VALUES_MAX,
+    CyclicPlan, CyclicSlave, ExchangeKind, PROCESS_BYTES_MAX, PlanError, ReferenceClock, SPAN_BYTES_MAX, VALUES_MAX,
+    ValueBit,
 };
 use super::queue;
 use super::telegram::{Answers, Image, SlotState, Telegram};
@@ -361,7 +361,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
             let old = self.plan.slaves.get(number).copied().unwrap_or_default();
             let same = (old.output_address, old.output_length) == (new.output_address, new.output_length);
             // Outputs that are no longer written return to zero.
-            if same && (old.role, old.is_terminal) == (new.role, new.is_terminal) {
+            let used = (old.role, self.plan.terminals.contains(number));
+            if same && used == (new.role, plan.terminals.contains(number)) {
                 super::wire::write_bytes(kept, 0, self.output(number));
             }
         }

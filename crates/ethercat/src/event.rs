@@ -3,7 +3,8 @@
 //! Invariant: every event stands alone; if one is lost the others remain valid.
 
 use super::clock::Settling;
-use super::driver::{Direction, Entry, SlaveFactory};
+pub use super::configure::own_data::ChosenEntry;
+use super::driver::{Direction, SlaveFactory};
 use super::error::BusError;
 use super::plan::{ExchangeKind, VALUES_MAX};
 use super::port_state::PortState;
@@ -20,28 +21,30 @@ pub struct WantedValue {
     pub slave: u8,
     /// Whether it is among the inputs or the outputs.
     pub direction: Direction,
-    /// The object as the slave's process data list it.
-    pub object: Object,
     /// Its bits; an entry of another length is not the value.
     pub bits: u8,
+    /// Sub-index and index of the object as the slave's process data list it; apart they take less room.
+    sub: u8,
+    index: u16,
 }
 
-/// An entry of a terminal's process data that the application chooses: the entries of one process data object stand
-/// together, and those objects together that belong to one sync manager.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct ChosenEntry {
-    /// Place in the chain of the slave, from 0.
-    pub slave: u8,
-    /// Number of the sync manager to which the process data object is assigned.
-    pub manager: u8,
-    /// Index of the process data object: from 0x1600 for outputs, from 0x1A00 for inputs.
-    pub pdo: u16,
-    /// The entry to be mapped; `None` assigns the process data object with the entries that it has.
-    pub entry: Option<Entry>,
-}
+impl WantedValue {
+    /// A value of `bits` bits of the slave at a place in the chain, from 0, named by its object.
+    pub const fn new(slave: u8, direction: Direction, object: Object, bits: u8) -> Self {
+        Self {
+            slave,
+            direction,
+            bits,
+            sub: object.sub,
+            index: object.index,
+        }
+    }
 
-/// Most chosen entries of all terminals.
-pub const CHOSEN_MAX: usize = 16;
+    /// The object as the slave's process data list it.
+    pub const fn object(&self) -> Object {
+        Object::new(self.index, self.sub)
+    }
+}
 
 /// The bus that a bring-up expects, and how to run it.
 #[derive(Clone, Debug, PartialEq)]
@@ -57,7 +60,7 @@ pub struct BusSetup<F: SlaveFactory> {
     pub values: Vec<WantedValue, VALUES_MAX>,
     /// Process data that are assigned and mapped over CoE before the process data of a terminal are read; those of other
     /// sync managers stay as they are.
-    pub chosen: Vec<ChosenEntry, CHOSEN_MAX>,
+    pub chosen: &'static [ChosenEntry],
     /// Settings of the members.
     pub settings: F::Settings,
     /// When inputs are read and outputs are written.
@@ -81,7 +84,7 @@ impl<F: SlaveFactory> Default for BusSetup<F> {
             members: 0,
             terminals: SlaveSet::NONE,
             values: Vec::new(),
-            chosen: Vec::new(),
+            chosen: &[],
             settings: F::Settings::default(),
             exchange: ExchangeKind::default(),
             cycle_ns: 1_000_000,

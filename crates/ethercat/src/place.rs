@@ -9,6 +9,7 @@
 use super::configure::Direction;
 use super::cyclic::Exchange;
 use super::driver::SlaveFactory;
+use super::event::WantedValue;
 use core::marker::PhantomData;
 
 /// A type of values in process data.
@@ -130,17 +131,17 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'_, F,
         self.bits(slave, direction, bit, T::BITS)
     }
 
-    /// Place of the value of this number in [`BusSetup::values`](super::event::BusSetup::values); `None` while no slave
-    /// exchanges it, or if the type has fewer bits.
-    pub fn value<T: Scalar>(&self, number: usize) -> Option<Place<T>> {
-        let found = self.plan().values.get(number).copied()??;
-        self.bits(found.slave.into(), found.direction, found.bit, found.bits)
+    /// Place of a wanted value, which has this number in [`BusSetup::values`](super::event::BusSetup::values); `None`
+    /// while no slave exchanges it, or if the type has fewer bits.
+    pub fn value<T: Scalar>(&self, number: usize, wanted: &WantedValue) -> Option<Place<T>> {
+        let bit = self.plan().values.get(number)?.bit()?;
+        self.bits(wanted.slave.into(), wanted.direction, bit, wanted.bits)
     }
 
     /// Place of a value of `bits` bits, as [`Self::place`]. `None` also if the type has fewer bits, or for 0 bits.
     pub fn bits<T: Scalar>(&self, slave: usize, direction: Direction, bit: u16, bits: u8) -> Option<Place<T>> {
         let share = self.plan().slaves.get(slave)?;
-        if share.role.is_none() && !share.is_terminal {
+        if share.role.is_none() && !self.plan().terminals.contains(slave) {
             return None;
         }
         let bytes = match direction {

@@ -5,8 +5,8 @@
 //!
 //! Invariant: each slave's data travel in separate datagrams, in every kind of exchange.
 
-use super::configure::Direction;
 use super::driver::{Role, SlaveFactory};
+use super::slave_set::SlaveSet;
 use super::wire::{Address, Command, DATAGRAM_OVERHEAD, FRAME_LEN_MAX};
 use heapless::Vec;
 
@@ -22,17 +22,32 @@ pub(super) const AL_STATUS_LEN: usize = 2;
 /// Most values that are looked for in the process data of slaves without a driver.
 pub const VALUES_MAX: usize = 16;
 
-/// Where a value was found that [`BusSetup::values`](super::event::BusSetup::values) names.
+/// First bit of a wanted value in its slave's inputs or outputs, if the slave exchanges it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct FoundValue {
-    /// Place in the chain of the slave, from 0.
-    pub slave: u8,
-    /// Whether it is among the inputs or the outputs.
-    pub direction: Direction,
-    /// Its first bit in them.
-    pub bit: u16,
-    /// Its bits.
-    pub bits: u8,
+pub struct ValueBit(u16);
+
+impl ValueBit {
+    /// A value that no slave exchanges.
+    pub const MISSING: Self = Self(u16::MAX);
+
+    /// A value that begins at a bit.
+    pub(super) const fn at(bit: u16) -> Self {
+        Self(bit)
+    }
+
+    /// The bit; `None` for a value that no slave exchanges.
+    pub const fn bit(self) -> Option<u16> {
+        match self {
+            Self::MISSING => None,
+            Self(bit) => Some(bit),
+        }
+    }
+}
+
+impl Default for ValueBit {
+    fn default() -> Self {
+        Self::MISSING
+    }
 }
 
 /// When inputs are read and outputs are written.
@@ -62,9 +77,6 @@ pub struct CyclicSlave<F: SlaveFactory> {
     pub watched: bool,
     /// What the application uses the slave for, if it is a member.
     pub role: Option<Role<F>>,
-    /// Whether the slave takes part with its own process data, see
-    /// [`BusSetup::terminals`](super::event::BusSetup::terminals).
-    pub is_terminal: bool,
     /// Number of the slave's last configuration from INIT, wrapping: a new number means that it may have been switched
     /// off in between.
     pub generation: u8,
@@ -103,8 +115,11 @@ pub struct CyclicPlan<F: SlaveFactory, const SLAVES: usize> {
     pub clock: Option<ReferenceClock>,
     /// AL status bits that come from slaves that are not in use.
     pub al_bits_ignored: u16,
-    /// Where the values are that the application asked for; `None` for those that no slave exchanges.
-    pub values: [Option<FoundValue>; VALUES_MAX],
+    /// Places of the slaves that take part with their own process data, see
+    /// [`BusSetup::terminals`](super::event::BusSetup::terminals).
+    pub terminals: SlaveSet,
+    /// Where the values are that the application wants ([`BusSetup::values`](super::event::BusSetup::values)).
+    pub values: [ValueBit; VALUES_MAX],
 }
 
 /// Why a plan cannot be exchanged.

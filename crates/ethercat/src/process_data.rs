@@ -3,9 +3,9 @@
 //! Invariant: the shares of two slaves never overlap.
 
 use crate::acyclic::{AcyclicPort, Request};
-use crate::configure::SYNC_MANAGER_OUTPUTS;
 use crate::configure::discovery::write_managers;
 use crate::configure::own_data::OwnData;
+use crate::configure::{Direction, SYNC_MANAGER_OUTPUTS};
 use crate::cyclic::{CyclicSlave, SPAN_BYTES_MAX};
 use crate::driver::{ProcessData, Role, SlaveFactory};
 use crate::error::BusError;
@@ -43,7 +43,6 @@ pub fn cyclic_slave<F: SlaveFactory>(slave: &Slave<F>) -> CyclicSlave<F> {
             device,
             layout: data.layout,
         }),
-        is_terminal: slave.is_terminal,
         generation: slave.generation,
     }
 }
@@ -102,7 +101,7 @@ async fn set_up_own<F: SlaveFactory, const MESSAGE: usize>(
     watchdog_ms: u16,
 ) -> Result<(), BusError> {
     let station = slave.station();
-    if data.output_length > 0 {
+    if data.length(Direction::Outputs) > 0 {
         watchdogs(port, station, watchdog_ms).await?;
     }
     let share = cyclic_slave(slave);
@@ -111,7 +110,7 @@ async fn set_up_own<F: SlaveFactory, const MESSAGE: usize>(
         let mut registers = [0; SYNC_MANAGER_LEN];
         let described = SyncManagerRepr {
             start: manager.start,
-            length: manager.length,
+            length: manager.length.into(),
             control: manager.control,
             activate: register::SYNC_MANAGER_ENABLE,
             ..SyncManagerRepr::default()
@@ -121,7 +120,7 @@ async fn set_up_own<F: SlaveFactory, const MESSAGE: usize>(
         port.write(station, register::sync_manager(manager.number), &registers)
             .await?;
         let logical = if manager.is_input { &mut inputs } else { &mut outputs };
-        let mapping = FmmuRepr::bytes(*logical, manager.length, manager.start, manager.is_input);
+        let mapping = FmmuRepr::bytes(*logical, manager.length.into(), manager.start, manager.is_input);
         *logical += u32::from(manager.length);
         let mut registers = [0; FMMU_LEN];
         let _ = mapping.emit(&mut registers);

@@ -10,7 +10,7 @@ use super::wire::sii::{FixedPart, Identity};
 use crate::configure::discovery::STATION_BASE;
 use crate::configure::identification::KnownIdentity;
 use crate::configure::own_data::OwnData;
-use crate::driver::{ProcessData, SlaveFactory};
+use crate::driver::{Direction, ProcessData, SlaveFactory};
 
 /// Condition of a slave.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -102,7 +102,7 @@ impl<F: SlaveFactory> Slave<F> {
     pub fn lengths(&self) -> (u16, u16) {
         match (self.process_data, self.own_data) {
             (Some(data), _) => (data.output_length, data.input_length),
-            (None, Some(data)) => (data.output_length, data.input_length),
+            (None, Some(data)) => (data.length(Direction::Outputs), data.length(Direction::Inputs)),
             (None, None) => (0, 0),
         }
     }

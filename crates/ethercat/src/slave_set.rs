@@ -49,6 +49,14 @@ impl SlaveSet {
         self.0 == 0
     }
 
+    /// The last place; `None` without one.
+    pub const fn last(self) -> Option<usize> {
+        match self.0.checked_ilog2() {
+            Some(place) => Some(place as usize),
+            None => None,
+        }
+    }
+
     /// Number of places.
     #[cold]
     #[inline(never)]
@@ -105,6 +113,10 @@ mod tests {
             assert!(!SlaveSet::NONE.contains(place));
             assert_eq!(SlaveSet::ALL.contains(place), place < 64);
         }
+        assert_eq!(
+            (SET.last(), SlaveSet::NONE.last(), SlaveSet::of(0).last()),
+            (Some(63), None, Some(0))
+        );
         assert_eq!((SET.count(), SET), (3, [63, 0, 5, 64].into_iter().collect()));
     }
 

@@ -65,6 +65,7 @@ fn points_are_listed_read_and_set_and_every_refusal_says_why() {
     );
     assert_eq!(points[0]["role"], "emergency_stop");
     assert_eq!(points[2]["object"], "0x7010:01");
+    assert_eq!(json(&["status"])["io"], points, "the state shows them too");
     let valve = json(&["io", "set", "valve", "on"]);
     assert_eq!(
         (&valve["name"], &valve["value"]),

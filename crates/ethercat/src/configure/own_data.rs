@@ -1,9 +1,9 @@
 //! A slave's own process data: what it exchanges without a driver, and which sync managers carry it.
 //!
-//! The SII lists the sync managers (ETG.2010, category 41); terminals without a mailbox begin with sync manager 0. What a
-//! sync manager carries is listed by CoE (0x1C10 + its number names the process data objects assigned to it), or by the
-//! SII for slaves without CoE and for lists that are missing there. The data of a direction lie in the order of its sync
-//! managers, those of each from a whole byte on.
+//! The SII lists the sync managers (ETG.2010, category 41); terminals without a mailbox begin with sync manager 0. What
+//! a sync manager carries is listed by CoE (0x1C10 + its number names the process data objects assigned to it), or by the
+//! SII for slaves without CoE and for lists that are missing there. The data of a direction lie in the order of its
+//! sync managers, those of each from a whole byte on.
 //!
 //! Invariant: only what the application has chosen is written; every list and every wait ends.
 
@@ -19,7 +19,7 @@ use crate::wire::sii::{self, PdoRecord, Record, SyncManagerRecord, SyncManagerUs
 use heapless::Vec;
 
 /// Most sync managers of a slave that carry process data.
-pub const DATA_MANAGERS_MAX: usize = 4;
+pub const DATA_MANAGERS_MAX: usize = 3;
 /// Most sync managers that a slave controller has.
 const MANAGERS_MAX: u16 = 16;
 /// Lowest address of process data: digital outputs have their own register (IEC 61158-4-12, 0x0F00).
@@ -36,10 +36,10 @@ pub struct DataManager {
     pub is_input: bool,
     /// Control byte of its register.
     pub control: u8,
+    /// Bytes.
+    pub length: u8,
     /// First byte in the slave's memory.
     pub start: u16,
-    /// Bytes.
-    pub length: u16,
 }
 
 /// A slave's own process data.
@@ -47,10 +47,6 @@ pub struct DataManager {
 pub struct OwnData {
     /// The sync managers in the order of their numbers; the rest have a length of 0.
     pub managers: [DataManager; DATA_MANAGERS_MAX],
-    /// Bytes of all outputs.
-    pub output_length: u16,
-    /// Bytes of all inputs.
-    pub input_length: u16,
 }
 
 impl OwnData {
@@ -59,40 +55,54 @@ impl OwnData {
         self.managers.iter().filter(|manager| manager.length > 0)
     }
 
-    const fn length(&mut self, direction: Direction) -> &mut u16 {
-        match direction {
-            Direction::Outputs => &mut self.output_length,
-            Direction::Inputs => &mut self.input_length,
-        }
+    /// Bytes of all outputs, or of all inputs.
+    pub fn length(&self, direction: Direction) -> u16 {
+        let is_input = direction == Direction::Inputs;
+        let lengths = self.managers().filter(|manager| manager.is_input == is_input);
+        lengths.map(|manager| u16::from(manager.length)).sum()
     }
 }
 
-/// A process data object for a sync manager, and one of its entries; `None` for an object whose entries stay.
-pub type Chosen = (u8, u16, Option<Entry>);
+/// An entry of a terminal's process data that the application chooses: the entries of one process data object stand
+/// together, and those objects together that belong to one sync manager of one slave.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ChosenEntry {
+    /// Place in the chain of the slave, from 0.
+    pub slave: u8,
+    /// Number of the sync manager to which the process data object is assigned.
+    pub manager: u8,
+    /// Index of the process data object: from 0x1600 for outputs, from 0x1A00 for inputs.
+    pub pdo: u16,
+    /// The entry to be mapped; `None` assigns the process data object with the entries that it has.
+    pub entry: Option<Entry>,
+}
 
-/// Assigns process data objects to sync managers, and maps their entries, in PREOP. Entries of one object stand together,
-/// and objects of one sync manager.
+/// Assigns a slave's chosen process data objects to its sync managers, and maps their entries, in PREOP. `slave` is its
+/// place in the chain.
 ///
 /// # Errors
 /// [`BusError::SdoAbort`] for what the slave refuses, or errors of the mailbox.
 pub async fn choose<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     mailbox: &mut Mailbox,
-    chosen: &[Chosen],
+    slave: u8,
+    chosen: &[ChosenEntry],
 ) -> Result<(), BusError> {
     let mut dictionary = ObjectDictionary::new(port, mailbox);
-    for of_manager in chosen.chunk_by(|one, next| one.0 == next.0) {
-        let Some((manager, ..)) = of_manager.first() else {
+    let same_manager = |one: &ChosenEntry, next: &ChosenEntry| (one.slave, one.manager) == (next.slave, next.manager);
+    for of_manager in chosen.chunk_by(same_manager) {
+        let Some(first) = of_manager.first().filter(|first| first.slave == slave) else {
             continue;
         };
-        let assignment = |sub| Object::new(ASSIGNMENT + u16::from(*manager), sub);
+        let assignment = |sub| Object::new(ASSIGNMENT + u16::from(first.manager), sub);
         dictionary.write(assignment(0), 0, 1).await?;
         let mut assigned = 0;
-        for of_pdo in of_manager.chunk_by(|one, next| one.1 == next.1) {
-            let Some((_, pdo, _)) = of_pdo.first() else { continue };
-            let entries = of_pdo.iter().filter_map(|(.., entry)| *entry);
+        for of_pdo in of_manager.chunk_by(|one, next| one.pdo == next.pdo) {
+            let Some(ChosenEntry { pdo, .. }) = of_pdo.first() else {
+                continue;
+            };
             let mut mapped = 0;
-            for entry in entries {
+            for entry in of_pdo.iter().filter_map(|one| one.entry) {
                 if mapped == 0 {
                     dictionary.write(Object::new(*pdo, 0), 0, 1).await?;
                 }
@@ -110,8 +120,8 @@ pub async fn choose<const MESSAGE: usize>(
     Ok(())
 }
 
-/// Finds the process data of a slave in PREOP; `mailbox` if it supports CoE. Passes each entry to `take` with the bit at
-/// which it begins in all data of its direction.
+/// Finds the process data of a slave in PREOP; `mailbox` if it supports CoE. Passes each entry to `take` with the bit
+/// at which it begins in all data of its direction.
 ///
 /// # Errors
 /// [`BusError::SyncManagers`] for data in too many sync managers, or errors of the SII and the mailbox.
@@ -141,7 +151,7 @@ pub async fn find<const MESSAGE: usize>(
         if record.flags & sii::SYNC_MANAGER_VIRTUAL != 0 || record.start < OUTPUTS_START {
             continue;
         }
-        let first = data.length(direction).saturating_mul(8);
+        let first = 8 * data.length(direction);
         let mut bits = 0_u16;
         let mut count = |entry: Entry| {
             take(direction, first.saturating_add(bits), entry);
@@ -161,8 +171,6 @@ pub async fn find<const MESSAGE: usize>(
             0 if !listed => record.length,
             bits => bits.div_ceil(8),
         };
-        let sum = data.length(direction);
-        *sum = sum.saturating_add(length);
         if length == 0 {
             continue;
         }
@@ -175,8 +183,9 @@ pub async fn find<const MESSAGE: usize>(
             number: number as u8,
             is_input: direction == Direction::Inputs,
             control: record.control,
+            // More than a byte counts is more than the plan takes.
+            length: u8::try_from(length).unwrap_or(u8::MAX),
             start: record.start,
-            length,
         };
     }
     Ok(data)

@@ -8,21 +8,20 @@ use super::super::acyclic::{AcyclicPort, Request};
 use super::super::clock::{self, BusClocks};
 use super::super::coe::{DEVICE_TYPE, ObjectDictionary};
 use super::super::configure::discovery::STATION_BASE;
-use super::super::configure::own_data::Chosen;
 use super::super::configure::{PreOperational, discovery, information, own_data};
-use super::super::cyclic::{ExchangeKind, FoundValue};
+use super::super::cyclic::{ExchangeKind, ValueBit};
 use super::super::driver::{ProcessData, SlaveFactory, is_asked_for_device_type};
 use super::super::error::BusError;
-use super::super::event::{BusEvent, CHOSEN_MAX, Step, WantedValue};
+use super::super::event::{BusEvent, Step, WantedValue};
 use super::super::mailbox::Mailbox;
 use super::super::process_data;
 use super::super::slave::{Condition, Slave};
+use super::super::slave_set::SlaveSet;
 use super::super::state::{self, AlReport, AlState};
 use super::super::wire::sii::PROTOCOL_COE;
 use super::super::wire::{Address, Command, register, sii};
 use super::Failure;
 use super::bus::Bus;
-use heapless::Vec;
 
 /// Longest wait for the expected number of slaves, ms.
 pub const DISCOVERY_TIMEOUT_MS: u32 = 3_000;
@@ -99,9 +98,19 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         Ok(())
     }
 
+    /// Fewest slaves of a chain that can be brought up: with one missing before the last terminal that is named, the places
+    /// would be those of other slaves.
+    pub(super) fn fewest_slaves(&self) -> u16 {
+        let named = match self.setup.terminals {
+            SlaveSet::ALL => 0,
+            places => places.last().map_or(0, |last| last as u16 + 1),
+        };
+        named.max(self.setup.members.into())
+    }
+
     /// Waits until as many slaves as expected are there and their number is stable.
     async fn discover(&mut self) -> Result<u16, BusError> {
-        let expected = u16::from(self.setup.members);
+        let expected = self.fewest_slaves();
         let (started_ms, mut found, mut since_ms) = (self.port.now_ms(), 0, self.port.now_ms());
         loop {
             let answer = self.port.broadcast_read_u16(register::AL_STATUS).await;
@@ -332,31 +341,29 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return Ok(());
         };
         let place = slave.position as u8;
-        for value in values.iter_mut() {
-            *value = value.filter(|value| value.slave != place);
+        let here = |wanted: &WantedValue| wanted.slave == place;
+        for (_, value) in setup
+            .values
+            .iter()
+            .zip(values.iter_mut())
+            .filter(|(wanted, _)| here(wanted))
+        {
+            *value = ValueBit::MISSING;
         }
         let station = slave.station();
         let has_objects = slave.fixed.protocols & PROTOCOL_COE != 0 && slave.fixed.mailbox_out.length > 0;
-        let chosen = setup.chosen.iter().filter(|chosen| chosen.slave == place);
-        let chosen: Vec<Chosen, CHOSEN_MAX> = chosen.map(|one| (one.manager, one.pdo, one.entry)).collect();
         if has_objects {
-            own_data::choose(port, &mut slave.mailbox, &chosen).await?;
+            own_data::choose(port, &mut slave.mailbox, place, setup.chosen).await?;
         }
         let mailbox = has_objects.then_some(&mut slave.mailbox);
         let data = own_data::find(port, station, mailbox, |direction, bit, entry| {
             let is_wanted = |wanted: &WantedValue| {
                 (wanted.slave, wanted.direction) == (place, direction)
-                    && (wanted.object, wanted.bits) == (entry.object, entry.bits)
+                    && (wanted.object(), wanted.bits) == (entry.object, entry.bits)
             };
             for (wanted, value) in setup.values.iter().zip(values.iter_mut()) {
-                if is_wanted(wanted) && value.is_none() {
-                    let (slave, bits) = (place, entry.bits);
-                    *value = Some(FoundValue {
-                        slave,
-                        direction,
-                        bit,
-                        bits,
-                    });
+                if is_wanted(wanted) && *value == ValueBit::MISSING {
+                    *value = ValueBit::at(bit);
                 }
             }
         });

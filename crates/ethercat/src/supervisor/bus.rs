@@ -5,12 +5,13 @@
 
 use super::super::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
 use super::super::clock::{self, BusClocks};
-use super::super::cyclic::{CyclicPlan, CyclicSlave, ExchangeKind, FoundValue, PlanError, ReferenceClock, VALUES_MAX};
+use super::super::cyclic::{CyclicPlan, CyclicSlave, ExchangeKind, PlanError, ReferenceClock, VALUES_MAX, ValueBit};
 use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
 use super::super::event::{BusEvent, BusSetup};
 use super::super::process_data;
 use super::super::slave::{Condition, Slave};
+use super::super::slave_set::SlaveSet;
 use super::super::state::{AlReport, AlState};
 use super::super::wire::{Address, Command, register};
 use super::files::OpenFile;
@@ -37,7 +38,7 @@ pub(super) struct Bus<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     pub(super) exchange: ExchangeKind,
     pub(super) slaves: Vec<Slave<F>, SLAVES>,
     /// Where the values are that the application wants.
-    pub(super) values: [Option<FoundValue>; VALUES_MAX],
+    pub(super) values: [ValueBit; VALUES_MAX],
     pub(super) clocks: BusClocks<SLAVES>,
     /// Number of the clocks' present time.
     pub(super) time_number: u8,
@@ -66,7 +67,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             setup: BusSetup::default(),
             exchange: ExchangeKind::default(),
             slaves: Vec::new(),
-            values: [None; VALUES_MAX],
+            values: [ValueBit::MISSING; VALUES_MAX],
             clocks: BusClocks::default(),
             time_number: 0,
             ordered: 0,
@@ -208,6 +209,11 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             exchange: self.exchange,
             clock: self.reference_clock(),
             values: self.values,
+            terminals: (0..)
+                .zip(&self.slaves)
+                .filter(|(_, slave)| slave.is_terminal)
+                .map(|(number, _)| number)
+                .collect(),
         }
     }
 
@@ -245,7 +251,6 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
     pub(super) async fn send_safe_plan(&mut self) {
         let slaves = self.slaves.iter().map(|slave| CyclicSlave {
             role: None,
-            is_terminal: false,
             watched: false,
             ..process_data::cyclic_slave(slave)
         });
@@ -254,7 +259,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             exchange: self.exchange,
             al_bits_ignored: STATUS_MASK,
             clock: self.reference_clock(),
-            values: [None; VALUES_MAX],
+            values: [ValueBit::MISSING; VALUES_MAX],
+            terminals: SlaveSet::NONE,
         };
         while let Err(back) = self.plans.enqueue(plan) {
             plan = back;

@@ -230,7 +230,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             .is_some_and(|changed_ms| now_ms.wrapping_sub(changed_ms) >= CHANGED_MS);
         if is_stable
             && self.retries < RETRIES_MAX
-            && there >= u16::from(self.bus.setup.members.max(1))
+            && there >= self.bus.fewest_slaves().max(1)
             && !self.inbox.port.is_down()
         {
             self.retries += 1;

@@ -77,7 +77,7 @@ mod tests {
             },
         };
         let mut probes = Probes::default();
-        let mut to = |probes: &mut Probes, place: f64| probes.step(place, &marks);
+        let to = |probes: &mut Probes, place: f64| probes.step(place, &marks);
         to(&mut probes, 2_050.0);
         // Probe 1: both edges of the input once; probe 2: each index pulse.
         probes.function = 0x1731;

@@ -52,7 +52,7 @@ fn value(text: &str) -> Result<i64, String> {
 
 /// A point as printed.
 #[derive(Debug, Serialize)]
-struct Shown {
+pub(super) struct Shown {
     name: String,
     direction: IoDirection,
     /// Place of the terminal in the chain, from 0.
@@ -69,6 +69,15 @@ struct Shown {
 }
 
 impl Shown {
+    /// The points of a configuration; none if the firmware has another one.
+    pub(super) fn all(config: &Config, status: &Status) -> Vec<Self> {
+        if status.config != config.hash() {
+            return Vec::new();
+        }
+        let points = config.io.iter().enumerate();
+        points.map(|(io, point)| Self::new(point, io, status)).collect()
+    }
+
     fn new(point: &IoPoint, io: usize, status: &Status) -> Self {
         let state = status.io.get(io).filter(|state| state.valid);
         Self {
@@ -83,7 +92,7 @@ impl Shown {
         }
     }
 
-    fn print(&self) {
+    pub(super) fn print(&self) {
         let value = self.value.map_or("missing".into(), |value| value.to_string());
         let direction = match self.direction {
             IoDirection::In => "in",
@@ -112,12 +121,7 @@ pub(super) fn run(arguments: &IoArguments) -> Result<(), ProgramError> {
 fn list(arguments: &Arguments) -> Result<(), ProgramError> {
     let config = arguments.config.load()?;
     let status = state(arguments, &config)?;
-    let points: Vec<Shown> = config
-        .io
-        .iter()
-        .enumerate()
-        .map(|(io, point)| Shown::new(point, io, &status))
-        .collect();
+    let points = Shown::all(&config, &status);
     if arguments.json {
         return print_json(&points);
     }

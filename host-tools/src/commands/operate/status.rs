@@ -1,6 +1,7 @@
 //! `etherpen status`: state of the machine, and the program that uses it.
 
 use super::Arguments;
+use super::io::Shown;
 use crate::commands::print_json;
 use crate::error::ProgramError;
 use crate::job::progress::Progress;
@@ -51,6 +52,8 @@ struct Answer<'a> {
     increments: Option<[Option<u32>; AXES]>,
     counters: Option<Counters>,
     drives: Vec<Drive>,
+    /// The named inputs and outputs of terminals.
+    io: Vec<Shown>,
     doing: Option<&'a str>,
     drawing: Option<&'a str>,
     progress: Option<&'a Progress>,
@@ -107,6 +110,7 @@ fn answer<'a>(config: &Config, snapshot: &'a Snapshot, owner: Option<&'a Owner>)
         increments: status.map(|status| status.increments),
         counters: status.map(|status| status.counters),
         drives: status.map(drives).unwrap_or_default(),
+        io: status.map(|status| Shown::all(config, status)).unwrap_or_default(),
         doing: snapshot.phase.as_deref(),
         drawing: snapshot.drawing.as_deref(),
         progress: snapshot.progress.as_ref(),
@@ -159,6 +163,7 @@ fn print(answer: &Answer, snapshot: &Snapshot) {
             drive.slave, drive.al_state, drive.state, drive.status_word
         );
     }
+    answer.io.iter().for_each(Shown::print);
     if let Some(counters) = &answer.counters {
         println!(
             "{}: {} late, {} lost, {}, {}",
