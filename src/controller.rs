@@ -16,8 +16,8 @@ use crate::link::frame::Decoder;
 use crate::link_task::{LinkTask, PortEnds, Ports, SENT_AHEAD_BYTES};
 use crate::measurement::Measurements;
 use crate::motion::Trajectory;
-use crate::network::{NetworkQueues, NetworkTask};
-use crate::robot_bus::{MASTER_ADDRESS, RobotBusQueues, RobotExchange, RobotGroup, RobotSupervisor};
+use crate::network::{NetworkEnd, NetworkQueues, NetworkTask};
+use crate::robot_bus::{MASTER_ADDRESS, RobotBusQueues, RobotExchange, RobotExchangeEnd, RobotGroup, RobotSupervisor};
 use crate::trajectory_task::{MotionOrder, MotionReport, PathItem, TrajectoryTask};
 use heapless::spsc::{Consumer, Producer, Queue};
 
@@ -133,9 +133,14 @@ impl Channels {
         let (usb_received_in, usb_received_out) = self.usb_received.split();
         let (usb_sent_in, usb_sent_out) = self.usb_sent.split();
         let measurements = &self.measurements;
-        let group = RobotGroup::new(RobotExchange::new(exchange_end, MASTER_ADDRESS));
         Parts {
-            sampler: Sampler::new(group, network_end, sampler_commands_out, setpoints_out, new_reports_in),
+            sampler: sampler(
+                exchange_end,
+                network_end,
+                sampler_commands_out,
+                setpoints_out,
+                new_reports_in,
+            ),
             recorder: Recorder::new(black_box, new_reports_out, reports_in),
             trajectory: TrajectoryTask::new(
                 &mut self.trajectory,
@@ -185,6 +190,19 @@ impl Channels {
             measurements,
         }
     }
+}
+
+/// The sampler over the robot's bus. Not inlined, so that its parts do not lie on the stack while the others are made.
+#[inline(never)]
+fn sampler<'a>(
+    exchange: RobotExchangeEnd<'a>,
+    network: NetworkEnd<'a>,
+    commands: Consumer<'a, SamplerCommand>,
+    setpoints: Consumer<'a, Queued>,
+    reports: Producer<'a, CycleReport>,
+) -> Sampler<'a> {
+    let group = RobotGroup::new(RobotExchange::new(exchange, MASTER_ADDRESS));
+    Sampler::new(group, network, commands, setpoints, reports)
 }
 
 /// Moves the link's bytes between a line's interrupt and the link task.

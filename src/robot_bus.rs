@@ -1,7 +1,7 @@
 //! The master with the robot's drivers and sizes.
 
 use crate::drives::{EtherCatGroup, ServoDrives};
-use crate::ethercat::cyclic::Exchange;
+use crate::ethercat::cyclic::{Exchange, ExchangeEnd};
 use crate::ethercat::event::{BusCommand, BusSetup};
 use crate::ethercat::supervisor::Supervisor;
 use crate::ethercat::{ApplicationEnd, BusQueues};
@@ -27,6 +27,8 @@ pub type RobotBusEnd<'a> = ApplicationEnd<'a, RobotDrives>;
 pub type RobotBusQueues = BusQueues<RobotDrives, BUS_SLAVES_MAX, BUS_MESSAGE_BYTES>;
 /// The exchange of the robot's bus.
 pub type RobotExchange<'a> = Exchange<'a, RobotDrives, BUS_SLAVES_MAX, BUS_MESSAGE_BYTES>;
+/// The exchange's ends of the queues of the robot's bus.
+pub type RobotExchangeEnd<'a> = ExchangeEnd<'a, RobotDrives, BUS_SLAVES_MAX, BUS_MESSAGE_BYTES>;
 /// The supervisor of the robot's bus.
 pub type RobotSupervisor<'a> = Supervisor<'a, RobotDrives, BUS_SLAVES_MAX, BUS_MESSAGE_BYTES>;
 /// The robot's drives as a group.

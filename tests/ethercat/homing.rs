@@ -213,7 +213,7 @@ fn a_touch_probe_stores_the_place_of_the_next_index_pulse_each_time_it_is_armed(
         let turns = from / TURN;
         let expected = TURN * if speed_rad_s > 0.0 { turns.ceil() } else { turns.floor() };
         println!("{speed_rad_s} rad/s: armed at {from:.0}, stored {found}, the pulse is at {expected}");
-        // The request that arms the probe takes some milliseconds: a pulse may pass meanwhile.
+        // The request that enables the probe takes some milliseconds: a pulse may pass meanwhile.
         let passed = (found - expected).abs() / TURN;
         assert!(passed < 1e-6 || (passed - 1.0).abs() < 1e-6, "{found}, {expected}");
     }

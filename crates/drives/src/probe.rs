@@ -128,7 +128,7 @@ impl Probe {
         }
     }
 
-    /// Arms the probe once more, for its next edge.
+    /// Enables the probe once more, for its next edge.
     pub fn rearm(&mut self) {
         (self.disabled, self.armed) = (false, false);
     }

@@ -34,26 +34,27 @@ impl<'c, 'q, const MESSAGE: usize> FileAccess<'c, 'q, MESSAGE> {
         Self { port, mailbox }
     }
 
-    /// Asks for a file; returns its first packet.
+    /// Asks for a file; its first packet replaces the content of `into`.
     ///
     /// # Errors
     /// [`BusError::FileError`] when the slave refuses, [`BusError::FilePacket`] or [`BusError::FileAnswer`] for an answer
     /// that does not fit, [`BusError::FileBusy`], or errors of the mailbox.
-    pub async fn begin_read(&mut self, name: &str, password: u32) -> Result<Bytes<MESSAGE>, BusError> {
+    pub async fn begin_read(&mut self, name: &str, password: u32, into: &mut Bytes<MESSAGE>) -> Result<(), BusError> {
         self.mailbox.drain(self.port).await?;
         let request = Foe::Read {
             password,
             name: name.as_bytes(),
         };
-        self.packet(&request, 1).await
+        self.packet(&request, 1, into).await
     }
 
-    /// Acknowledges packet `packet`, from 1; returns the next one.
+    /// Acknowledges packet `packet`, from 1; the next one replaces the content of `into`.
     ///
     /// # Errors
     /// As [`Self::begin_read`].
-    pub async fn next(&mut self, packet: u32) -> Result<Bytes<MESSAGE>, BusError> {
-        self.packet(&Foe::Acknowledge { packet }, packet.wrapping_add(1)).await
+    pub async fn next(&mut self, packet: u32, into: &mut Bytes<MESSAGE>) -> Result<(), BusError> {
+        self.packet(&Foe::Acknowledge { packet }, packet.wrapping_add(1), into)
+            .await
     }
 
     /// Acknowledges the last packet of a file.
@@ -116,8 +117,15 @@ impl<'c, 'q, const MESSAGE: usize> FileAccess<'c, 'q, MESSAGE> {
         self.mailbox.send(self.port, Protocol::Foe, message.len(), emit).await
     }
 
-    /// Sends a message and returns its answer, the first one that is not "busy" or older than the message.
-    async fn ask(&mut self, message: &Foe<'_>, is_old: impl Fn(&Foe) -> bool) -> Result<Bytes<MESSAGE>, BusError> {
+    /// Sends a message and returns what `take` finds in its answer, the first one that is not "busy" or older than the
+    /// message. The answer itself does not outlive this function: a message is long, and every function that waits with
+    /// one needs memory for it.
+    async fn ask<T>(
+        &mut self,
+        message: &Foe<'_>,
+        is_old: impl Fn(&Foe) -> bool,
+        mut take: impl FnMut(&Foe) -> T,
+    ) -> Result<T, BusError> {
         let started_ms = self.port.now_ms();
         loop {
             self.send(message).await?;
@@ -125,11 +133,14 @@ impl<'c, 'q, const MESSAGE: usize> FileAccess<'c, 'q, MESSAGE> {
             let answer = self
                 .mailbox
                 .receive_within(self.port, Protocol::Foe, FILE_TIMEOUT_MS, accept);
-            let answer = answer.await?;
-            match Foe::parse(&answer) {
-                Ok(Foe::Busy { .. }) => {}
-                Ok(Foe::Error { code, .. }) => return Err(BusError::FileError { code }),
-                _ => return Ok(answer),
+            let taken = answer.await.map(|answer| match Foe::parse(&answer) {
+                Ok(Foe::Busy { .. }) => Ok(None),
+                Ok(Foe::Error { code, .. }) => Err(BusError::FileError { code }),
+                Ok(answer) => Ok(Some(take(&answer))),
+                Err(_) => Err(BusError::FileAnswer),
+            });
+            if let Some(taken) = taken?? {
+                return Ok(taken);
             }
             let waited_ms = self.port.now_ms().wrapping_sub(started_ms);
             if waited_ms > FILE_BUSY_MAX_MS {
@@ -139,30 +150,37 @@ impl<'c, 'q, const MESSAGE: usize> FileAccess<'c, 'q, MESSAGE> {
         }
     }
 
-    /// Sends a message that is answered by packet `expected`, and returns this packet's content.
-    async fn packet(&mut self, message: &Foe<'_>, expected: u32) -> Result<Bytes<MESSAGE>, BusError> {
+    /// Sends a message that is answered by packet `expected`, and puts this packet's content into `into`.
+    async fn packet(&mut self, message: &Foe<'_>, expected: u32, into: &mut Bytes<MESSAGE>) -> Result<(), BusError> {
         let before = expected.wrapping_sub(1);
         let is_old = |answer: &Foe| matches!(answer, Foe::Data { packet, .. } if *packet == before && before != 0);
-        let mut answer = self.ask(message, is_old).await?;
-        let length = match Foe::parse(&answer) {
-            Ok(Foe::Data { packet, data }) if packet == expected => data.len(),
-            Ok(Foe::Data { packet, .. }) => return self.give_up(expected, packet).await,
-            _ => return Err(BusError::FileAnswer),
+        let take = |answer: &Foe| match answer {
+            Foe::Data { packet, data } => {
+                into.clear();
+                // A packet is shorter than the message in which it came.
+                let _ = into.extend_from_slice(data);
+                Some(*packet)
+            }
+            _ => None,
         };
-        let header = FOE_HEADER_LEN.min(answer.len());
-        answer.rotate_left(header);
-        answer.truncate(length);
-        Ok(answer)
+        match self.ask(message, is_old, take).await? {
+            Some(packet) if packet == expected => Ok(()),
+            Some(packet) => self.give_up(expected, packet).await,
+            None => Err(BusError::FileAnswer),
+        }
     }
 
     /// Sends a message that is answered by the acknowledgement of packet `expected`.
     async fn acknowledged(&mut self, message: &Foe<'_>, expected: u32) -> Result<(), BusError> {
         let is_old = |answer: &Foe| matches!(answer, Foe::Acknowledge { packet } if expected != 0 && packet.wrapping_add(1) == expected);
-        let answer = self.ask(message, is_old).await?;
-        match Foe::parse(&answer) {
-            Ok(Foe::Acknowledge { packet }) if packet == expected => Ok(()),
-            Ok(Foe::Acknowledge { packet }) => self.give_up(expected, packet).await,
-            _ => Err(BusError::FileAnswer),
+        let take = |answer: &Foe| match answer {
+            Foe::Acknowledge { packet } => Some(*packet),
+            _ => None,
+        };
+        match self.ask(message, is_old, take).await? {
+            Some(packet) if packet == expected => Ok(()),
+            Some(packet) => self.give_up(expected, packet).await,
+            None => Err(BusError::FileAnswer),
         }
     }
 

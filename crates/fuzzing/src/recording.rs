@@ -112,7 +112,7 @@ pub(crate) fn pcapng(bytes: &[u8]) {
             Direction::Received
         };
         capture.record(time_us, direction, frame).expect("memory");
-        frames.push((time_us, frame));
+        frames.push((time_us.wrapping_mul(1_000), frame));
     }
     let file = capture.finish().expect("memory");
     assert_eq!(packets(&file), frames);
@@ -126,9 +126,9 @@ fn packets(file: &[u8]) -> Vec<(u64, &[u8])> {
         let (kind, length) = (word(0), word(4) as usize);
         assert!(length % 4 == 0 && word(length - 4) as usize == length, "a closed block");
         if kind == 6 {
-            let time_us = u64::from(word(12)) << 32 | u64::from(word(16));
+            let time_ns = u64::from(word(12)) << 32 | u64::from(word(16));
             assert_eq!(word(20), word(24), "no frame is cut");
-            found.push((time_us, &rest[28..28 + word(20) as usize]));
+            found.push((time_ns, &rest[28..28 + word(20) as usize]));
         } else {
             kinds.push(kind);
         }

@@ -367,22 +367,22 @@ fn the_capture_holds_every_frame_with_its_direction() {
     let (mut place, mut packets) = (0, Vec::new());
     while place < file.len() {
         if word(place) == 6 {
-            let time_us = u64::from(word(place + 12)) << 32 | u64::from(word(place + 16));
+            let time_ns = u64::from(word(place + 12)) << 32 | u64::from(word(place + 16));
             let length = word(place + 20) as usize;
             let bytes = file[place + 28..place + 28 + length].to_vec();
             let flags = word(place + 28 + length.next_multiple_of(4) + 4);
-            packets.push((time_us, flags, bytes));
+            packets.push((time_ns, flags, bytes));
         }
         place += word(place + 4) as usize;
     }
     assert_eq!(packets.len(), 80);
-    for (index, (time_us, flags, bytes)) in packets.into_iter().enumerate() {
+    for (index, (time_ns, flags, bytes)) in packets.into_iter().enumerate() {
         let frame = &contents.frames[index];
         assert_eq!((flags, &bytes), (if index % 2 == 0 { 2 } else { 1 }, &frame.bytes));
         // The newest frame is at the last millisecond.
         let cycle = index as u64 / 2 + 1;
         let expected_us = cycle * 1_000 - if index % 2 == 0 { 200 } else { 0 };
-        assert_eq!(time_us, expected_us);
+        assert_eq!(time_ns, 1_000 * expected_us);
     }
 }
 

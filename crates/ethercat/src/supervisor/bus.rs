@@ -14,7 +14,6 @@ use super::super::slave::{Condition, Slave};
 use super::super::slave_set::SlaveSet;
 use super::super::state::{AlReport, AlState};
 use super::super::wire::{Address, Command, register};
-use super::files::OpenFile;
 use super::inbox::{Expectation, STATUS_MASK};
 use super::{Failure, LookList};
 use core::ops::Range;
@@ -27,6 +26,22 @@ const EVENT_TIMEOUT_MS: u32 = 50;
 const PLAN_MS: u32 = 3;
 /// Slaves inspected in one frame.
 pub(super) const LOOK_MAX: usize = IN_FLIGHT_MAX;
+
+/// A slave's file that is open, see `files`.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct OpenFile {
+    /// The slave.
+    pub(super) number: usize,
+    pub(super) writes: bool,
+    /// Whether the slave was brought to BOOT.
+    pub(super) bootstrap: bool,
+    /// Number of the last packet.
+    pub(super) packet: u32,
+    /// First byte of the packet in the buffer that was not passed on.
+    pub(super) passed: usize,
+    /// Whether the last packet has come or gone.
+    pub(super) ended: bool,
+}
 
 /// The slaves, and the queues to reach them.
 pub(super) struct Bus<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> {

@@ -15,26 +15,10 @@ use super::super::slave::Condition;
 use super::super::state::{self, AlReport, AlState};
 use super::super::wire::read_u16;
 use super::super::wire::sii::{FixedPart, MailboxWindow, PROTOCOL_FOE, WORD_BOOTSTRAP_OUT};
-use super::bus::Bus;
+use super::bus::{Bus, OpenFile};
 
 /// Bytes of the four words that tell the mailboxes of BOOT.
 const BOOTSTRAP_LEN: usize = 8;
-
-/// The open file.
-#[derive(Clone, Copy, Debug)]
-pub(super) struct OpenFile {
-    /// The slave.
-    number: usize,
-    writes: bool,
-    /// Whether the slave was brought to BOOT.
-    bootstrap: bool,
-    /// Number of the last packet.
-    packet: u32,
-    /// First byte of the packet in the buffer that was not passed on.
-    passed: usize,
-    /// Whether the last packet has come or gone.
-    ended: bool,
-}
 
 impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAVES, MESSAGE> {
     /// Opens a file of a slave.
@@ -67,9 +51,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         if request.writes {
             access.begin_write(&request.name, request.password).await?;
         } else {
-            let packet = access.begin_read(&request.name, request.password).await?;
-            let ended = access.is_last(&packet);
-            *value = packet;
+            access.begin_read(&request.name, request.password, value).await?;
+            let ended = access.is_last(value);
             self.file = Some(OpenFile {
                 packet: 1,
                 ended,
@@ -90,7 +73,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let slave = slaves.get_mut(number).ok_or(ServiceError::Interrupted)?;
         let mut access = FileAccess::new(port, &mut slave.mailbox);
         if file.passed >= value.len() && !file.ended {
-            *value = access.next(file.packet).await?;
+            access.next(file.packet, value).await?;
             file.packet = file.packet.wrapping_add(1);
             file.passed = 0;
             file.ended = access.is_last(value);

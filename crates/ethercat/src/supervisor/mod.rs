@@ -299,52 +299,64 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
 
     /// The steps of a bring-up, each of them guarded.
     async fn bring_up(&mut self) -> Result<Result<(), Failure>, Interruption> {
-        let Self { bus, inbox, .. } = self;
-        {
-            let work = pin!(bus.find_all());
-            if let Err(failure) = inbox.guard(Expectation::ANYTHING, true, work).await? {
-                return Ok(Err(failure));
-            }
+        if let Err(failure) = self.find_all().await? {
+            return Ok(Err(failure));
         }
-        {
-            let expected = bus.expectation(Some(SLAVES));
-            let work = pin!(bus.set_up_clocks());
-            if let Err(failure) = inbox.guard(expected, true, work).await? {
-                return Ok(Err(failure));
-            }
+        if let Err(failure) = self.set_up_clocks().await? {
+            return Ok(Err(failure));
         }
-        let order = bus.order();
+        let order = self.bus.order();
         for number in order.iter().map(|number| usize::from(*number)) {
-            let expected = bus.expectation(Some(number));
-            let result = {
-                let work = pin!(bus.reach_safe_operational(number));
-                inbox.guard(expected, true, work).await?
-            };
-            match result {
-                Err(failure) if bus.is_terminal(number) => bus.refuse_terminal(number, failure).await,
+            match self.reach_safe_operational(number).await? {
+                Err(failure) if self.bus.is_terminal(number) => self.bus.refuse_terminal(number, failure).await,
                 Err(failure) => return Ok(Err(failure)),
                 Ok(()) => {}
             }
         }
-        bus.send_plan().await;
+        self.bus.send_plan().await;
         for number in order.iter().map(|number| usize::from(*number)) {
-            if !bus.is_on_the_way(number) {
+            if !self.bus.is_on_the_way(number) {
                 continue;
             }
-            let expected = bus.expectation(Some(number));
-            let result = {
-                let work = pin!(bus.reach_operational(number));
-                inbox.guard(expected, true, work).await?
-            };
-            match result {
-                Err(failure) if bus.is_terminal(number) => bus.refuse_terminal(number, failure).await,
+            match self.reach_operational(number).await? {
+                Err(failure) if self.bus.is_terminal(number) => self.bus.refuse_terminal(number, failure).await,
                 Err(failure) => return Ok(Err(failure)),
                 Ok(()) => {}
             }
         }
-        bus.send_plan().await;
-        bus.introduce_all().await;
+        self.bus.send_plan().await;
+        self.bus.introduce_all().await;
         Ok(Ok(()))
+    }
+
+    // A step of the bring-up is a function of its own: what one step keeps while it waits then lies where that of the
+    // next one will lie.
+
+    async fn find_all(&mut self) -> Result<Result<(), Failure>, Interruption> {
+        let Self { bus, inbox, .. } = self;
+        let work = pin!(bus.find_all());
+        inbox.guard(Expectation::ANYTHING, true, work).await
+    }
+
+    async fn set_up_clocks(&mut self) -> Result<Result<(), Failure>, Interruption> {
+        let Self { bus, inbox, .. } = self;
+        let expected = bus.expectation(Some(SLAVES));
+        let work = pin!(bus.set_up_clocks());
+        inbox.guard(expected, true, work).await
+    }
+
+    async fn reach_safe_operational(&mut self, number: usize) -> Result<Result<(), Failure>, Interruption> {
+        let Self { bus, inbox, .. } = self;
+        let expected = bus.expectation(Some(number));
+        let work = pin!(bus.reach_safe_operational(number));
+        inbox.guard(expected, true, work).await
+    }
+
+    async fn reach_operational(&mut self, number: usize) -> Result<Result<(), Failure>, Interruption> {
+        let Self { bus, inbox, .. } = self;
+        let expected = bus.expectation(Some(number));
+        let work = pin!(bus.reach_operational(number));
+        inbox.guard(expected, true, work).await
     }
 
     /// Watches the bus for one millisecond.
