@@ -12,9 +12,11 @@
 use crate::black_box::{EventLog, Memory, Recorder};
 use crate::control::sampler::{CycleReport, Queued, Sampler, SamplerCommand};
 use crate::coordinator::CoordinatorEnds;
+use crate::link::device::Identity;
 use crate::link::frame::Decoder;
 use crate::link_task::{LinkTask, PortEnds, Ports, SENT_AHEAD_BYTES};
 use crate::measurement::Measurements;
+use crate::messages::DeviceEndpoint;
 use crate::motion::Trajectory;
 use crate::network::{NetworkEnd, NetworkQueues, NetworkTask};
 use crate::robot_bus::{MASTER_ADDRESS, RobotBusQueues, RobotExchange, RobotExchangeEnd, RobotGroup, RobotSupervisor};
@@ -57,6 +59,7 @@ pub struct Channels {
     network: NetworkQueues,
     received: Queue<u8, RECEIVED_BYTES>,
     sent: Queue<u8, SENT_BYTES>,
+    endpoint: DeviceEndpoint,
     decoder: Decoder,
     usb_received: Queue<u8, USB_RECEIVED_BYTES>,
     usb_sent: Queue<u8, USB_SENT_BYTES>,
@@ -108,6 +111,11 @@ impl Channels {
             network: NetworkQueues::new(),
             received: Queue::new(),
             sent: Queue::new(),
+            endpoint: DeviceEndpoint::new(Identity {
+                firmware: env!("CARGO_PKG_VERSION"),
+                board: "",
+                capacity: VERTICES as u16 - 1,
+            }),
             decoder: Decoder::new(),
             usb_received: Queue::new(),
             usb_sent: Queue::new(),
@@ -119,6 +127,7 @@ impl Channels {
     /// Makes the task bodies; `board` is the name the firmware reports to the host, `black_box` the memory that
     /// survives a reset, started.
     pub fn split<'a>(&'a mut self, board: &'static str, black_box: &'a Memory) -> Parts<'a> {
+        self.endpoint.set_board(board);
         let (setpoints_in, setpoints_out) = self.setpoints.split();
         let (new_reports_in, new_reports_out) = self.new_reports.split();
         let (reports_in, reports_out) = self.reports.split();
@@ -160,7 +169,7 @@ impl Channels {
                 lost: 0,
             },
             link: LinkTask::new(
-                board,
+                &mut self.endpoint,
                 Ports {
                     serial: PortEnds {
                         received: received_out,

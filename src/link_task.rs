@@ -8,7 +8,7 @@ use crate::application::{Fault, Mode};
 use crate::black_box::{Event, EventLog};
 use crate::board::{BoardState, PreviousRun};
 use crate::coordinator::{Coordinator, CoordinatorEnds, LinkLosses};
-use crate::link::device::{Identity, LINE_BYTES_PER_MS};
+use crate::link::device::LINE_BYTES_PER_MS;
 use crate::link::frame::Decoder;
 use crate::link::ports::LinkPort;
 use crate::messages::{DeviceEndpoint, DeviceEvent, RecordAnswer, RecordRequest};
@@ -48,22 +48,22 @@ impl<'a> Ports<'a> {
 pub struct LinkTask<'a> {
     ports: Ports<'a>,
     events: EventLog<'a>,
-    endpoint: DeviceEndpoint,
+    endpoint: &'a mut DeviceEndpoint,
     coordinator: Coordinator<'a>,
 }
 
 impl<'a> LinkTask<'a> {
-    /// A link task without a host; `board` is at most 16 bytes.
-    pub fn new(board: &'static str, ports: Ports<'a>, ends: CoordinatorEnds<'a>, events: EventLog<'a>) -> Self {
-        let capacity = u16::try_from(ends.vertices.capacity()).unwrap_or(u16::MAX);
+    /// A link task without a host, over the board's end of the link.
+    pub fn new(
+        endpoint: &'a mut DeviceEndpoint,
+        ports: Ports<'a>,
+        ends: CoordinatorEnds<'a>,
+        events: EventLog<'a>,
+    ) -> Self {
         Self {
             ports,
             events,
-            endpoint: DeviceEndpoint::new(Identity {
-                firmware: env!("CARGO_PKG_VERSION"),
-                board,
-                capacity,
-            }),
+            endpoint,
             coordinator: Coordinator::new(ends),
         }
     }

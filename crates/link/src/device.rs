@@ -147,6 +147,11 @@ impl<P: Protocol, const SAMPLES: usize> DeviceEndpoint<P, SAMPLES> {
         }
     }
 
+    /// Sets the name of the board, at most 16 bytes, as reported in every [`Welcome`].
+    pub fn set_board(&mut self, board: &'static str) {
+        self.identity.board = board;
+    }
+
     /// Sets how the previous run ended, as reported in every [`Welcome`].
     pub fn set_previous_run(&mut self, previous: P::PreviousRun) {
         self.previous = previous;
