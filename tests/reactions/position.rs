@@ -92,9 +92,12 @@ fn three_lost_targets_in_a_row_let_the_drives_stand_for_a_moment_and_the_drawing
     }
 }
 
+/// Whether a fault is one that a disturbance may lead to.
+type IsExpected = fn(&Fault) -> bool;
+
 #[test]
 fn whatever_stops_the_robot_in_position_mode_the_next_drawing_comes_out_right() {
-    let faults: [(&str, CellFault, fn(&Fault) -> bool); 6] = [
+    let faults: [(&str, CellFault, IsExpected); 6] = [
         ("frames stalled", CellFault::Stall(300), |fault| {
             matches!(
                 fault,

@@ -392,7 +392,7 @@ const RECORDINGS: [Recording; 7] = [
         slaves: &[Recorded::Dump("akd.hex")],
         begins_in: None,
         datagrams: 9305,
-        same_min: 1100,
+        same_min: 600,
         explained: &[],
     },
     Recording {
