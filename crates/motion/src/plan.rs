@@ -604,3 +604,6 @@ impl Plan {
 fn moving(squared: f64) -> f64 {
     if squared < REST_SQUARED { 0.0 } else { squared }
 }
+
+#[cfg(test)]
+mod tests;
