@@ -177,6 +177,14 @@ mod tests {
     }
 
     #[test]
+    fn an_axis_without_a_resolution_has_no_increments_within_its_turn() {
+        let mut config = Config::default();
+        config.axes[1].increments_per_revolution = 0;
+        let within = HomingCheck::new(&config).within_turn(&[Some(7), Some(-7), None, None]);
+        assert_eq!(within, [Some(7), Some(0), None, None]);
+    }
+
+    #[test]
     fn a_wrong_multiple_of_30_degrees_disagrees_with_the_measured_position() {
         let config = calibrated();
         let check = HomingCheck::new(&config);

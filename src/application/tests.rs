@@ -156,6 +156,30 @@ fn homing_under_power_restarts_the_setpoints() {
 }
 
 #[test]
+fn a_homing_that_is_not_taken_is_waited_for_as_long_as_the_power() {
+    let mut plant = Plant::bus_up();
+    plant.order(Command::Enable).unwrap();
+    plant.run(50);
+    assert_eq!(plant.mode(), Mode::Unreferenced);
+    let asked_ms = plant.now_ms;
+    plant.application.command(Command::Home).unwrap();
+    for waited_ms in 1..=ENABLE_MAX_MS + 1 {
+        plant.actions.clear();
+        plant.run(1);
+        assert_eq!(plant.now_ms - asked_ms, waited_ms);
+        plant.condition.unreferenced = Some(0);
+        let holds_again = plant
+            .actions
+            .iter()
+            .any(|action| matches!(action, Action::Follow { .. }));
+        assert_eq!(holds_again, waited_ms > ENABLE_MAX_MS, "after {waited_ms} ms");
+        assert_eq!(plant.mode(), Mode::Unreferenced);
+    }
+    // Homing may be asked for again.
+    assert_eq!(plant.application.command(Command::Home), Ok(()));
+}
+
+#[test]
 fn commands_the_mode_does_not_allow_change_nothing() {
     let mut plant = Plant::idle();
     let before = plant.actions.len();

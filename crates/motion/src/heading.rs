@@ -259,6 +259,7 @@ impl Pause {
 
 #[cfg(test)]
 mod tests {
+    use super::super::curve::Curve;
     use super::*;
 
     #[test]
@@ -275,5 +276,28 @@ mod tests {
     fn a_vertical_tangent_has_no_direction() {
         assert_eq!(direction(&[0.0, 0.0, -1.0]), None);
         assert_eq!(direction(&[0.0, 1.0, 0.0]), Some(PI / 2.0));
+    }
+    #[test]
+    fn where_a_piece_departs_in_another_direction_the_axis_has_turned_before() {
+        for (follows, expected) in [(true, PI / 2.0), (false, 0.3)] {
+            let mut course = Course {
+                follows,
+                angle: 0.3,
+                ..Course::new()
+            };
+            let piece = Piece {
+                curve: Curve::line(&[10.0, 0.0, -850.0], &[10.0, 25.0, -850.0]),
+                intervals: 4,
+                ..Piece::NONE
+            };
+            course.depart(&piece);
+            assert!((course.angle - expected).abs() < 1.0e-12, "{} rad", course.angle);
+            let up = Piece {
+                curve: Curve::line(&[10.0, 0.0, -850.0], &[10.0, 0.0, -840.0]),
+                ..piece
+            };
+            course.depart(&up);
+            assert!((course.angle - expected).abs() < 1.0e-12, "{} rad", course.angle);
+        }
     }
 }

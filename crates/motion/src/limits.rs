@@ -192,4 +192,22 @@ mod tests {
             assert!((cap / expected - 1.0).abs() < 1.0e-12, "{cap} with a slope of {slope}");
         }
     }
+    #[test]
+    fn the_change_of_the_rise_bounds_the_pens_speed_only_where_the_rise_vanishes() {
+        let limits = Limits {
+            pen_speed_squared: 100.0,
+            pen_acceleration: 50.0,
+            ..Limits::NONE
+        };
+        // Elsewhere the path acceleration can make up for the change.
+        for (rise, expected) in [(0.0, 50.0 / 0.5), (0.1, 100.0 / 0.01), (-0.1, 100.0 / 0.01)] {
+            let row = Row {
+                rise,
+                rise_change: -0.5,
+                ..Row::NONE
+            };
+            let cap = limits.cap_pen(f64::MAX, &row);
+            assert!((cap / expected - 1.0).abs() < 1.0e-12, "{cap} with a rise of {rise}");
+        }
+    }
 }

@@ -18,7 +18,6 @@ pub struct Outline {
     kinematics: Kinematics,
     shaper: Shaper,
     queue: Ring<Node, QUEUE>,
-    pushed: u32,
     finished: bool,
 }
 
@@ -48,16 +47,13 @@ impl Outline {
     pub fn new(settings: &Settings, first: &Vertex) -> Result<Self, GeometryError> {
         let mut shaper = Shaper::new();
         shaper.configure(tolerances(settings), &settings.motion);
-        let mut outline = Self {
+        shaper.place(node(first));
+        Ok(Self {
             kinematics: Kinematics::new(&settings.geometry)?,
             shaper,
             queue: Ring::new(Node::NONE),
-            pushed: 0,
             finished: false,
-        };
-        let node = outline.node(first);
-        outline.shaper.place(node);
-        Ok(outline)
+        })
     }
 
     /// Appends a vertex, which must differ from the one before it; returns `false` when sections have to be taken
@@ -66,8 +62,7 @@ impl Outline {
         if self.queue.room() == 0 {
             return false;
         }
-        let node = self.node(vertex);
-        self.queue.push(node);
+        self.queue.push(node(vertex));
         true
     }
 
@@ -85,15 +80,15 @@ impl Outline {
         };
         Some(pieces.into_iter().map(section).collect())
     }
+}
 
-    fn node(&mut self, vertex: &Vertex) -> Node {
-        self.pushed = self.pushed.saturating_add(1);
-        Node {
-            point: vertex.position.into(),
-            pen: vertex.pen,
-            stroke: vertex.stroke,
-            count: self.pushed,
-        }
+/// A vertex for the shaper. The sections do not count vertices.
+fn node(vertex: &Vertex) -> Node {
+    Node {
+        point: vertex.position.into(),
+        pen: vertex.pen,
+        stroke: vertex.stroke,
+        count: 0,
     }
 }
 

@@ -529,8 +529,8 @@ impl Plan {
                     .unwrap_or_else(|| going(&interval, self.offset_mm, x, ratio * ratio, self.under_way))
             }
         };
+        // A stretch that would last for ever begins at rest.
         if !stretch.valid() {
-            self.squared = 0.0;
             return false;
         }
         self.stretch = Some(stretch.within(STRETCH_MAX_S));
@@ -604,3 +604,6 @@ impl Plan {
 fn moving(squared: f64) -> f64 {
     if squared < REST_SQUARED { 0.0 } else { squared }
 }
+
+#[cfg(test)]
+mod tests;

@@ -242,3 +242,23 @@ fn a_load_that_comes_and_goes_is_no_fault_of_the_feedback_in_torque_mode_and_a_r
     let noticed = (0..200).find(|ms| !moved(&mut monitor, -4.8 + f64::from(*ms) * 0.1));
     assert!(noticed.is_some_and(|ms| ms < 100), "{noticed:?}");
 }
+
+#[test]
+fn after_a_reset_nothing_is_left_of_commands_measurements_and_gaps() {
+    for mode in [AxisMode::Velocity, AxisMode::Position, AxisMode::Torque] {
+        let new = FeedbackMonitor::new(&Axis::default(), mode, DIGITS);
+        let mut used = new;
+        for _ in 0..20 {
+            used.step(4_000, 3_000);
+        }
+        for _ in 0..3 {
+            used.step_blind(4_000);
+        }
+        used.reset();
+        let mut fresh = new;
+        for monitor in [&mut used, &mut fresh] {
+            monitor.step(0, 900);
+        }
+        assert_eq!(used, fresh, "{mode:?}");
+    }
+}

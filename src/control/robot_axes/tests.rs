@@ -418,6 +418,23 @@ fn the_axes_of_a_group_in_memory_are_read_and_commanded_as_on_a_bus() {
 }
 
 #[test]
+fn axes_that_are_configured_again_command_the_drives_that_the_group_already_has() {
+    let mut robot = RobotAxes::new(&[Axis::default(); AXES]);
+    let velocity = drive(&ax2000::AX2000, AxisMode::Velocity);
+    let mut group = MemoryGroup::new([Some(velocity); AXES]);
+    group.inputs = [at(7); AXES];
+    for demand_rad_s in [0.5, -0.5] {
+        robot.configure(&[Axis::default(); AXES]);
+        group.trigger_input();
+        group.arrived(&MemoryGroup::<AXES>::ARRIVED);
+        robot.read(&mut group);
+        robot.write(&mut group, &[enabled(Demand::Velocity(demand_rad_s)); AXES]);
+        let digits = group.outputs.map(|output| output.demand_digits);
+        assert_eq!(digits, [(demand_rad_s * 16_022.0) as i32; AXES], "{demand_rad_s} rad/s");
+    }
+}
+
+#[test]
 fn an_axis_without_a_resolution_has_angles_that_are_numbers() {
     for increments_per_revolution in [0, u32::MAX] {
         let axis = Axis {

@@ -219,3 +219,15 @@ fn reports_that_nobody_takes_are_counted() {
     assert_eq!(kept, 32, "the places of the queue");
     assert_eq!(rig.millisecond(true).counters.reports_dropped, 8);
 }
+
+#[test]
+fn an_output_telegram_that_leaves_too_late_is_counted() {
+    let mut rig = rig();
+    let mut counts = Vec::new();
+    for elapsed_ns in [OUTPUT_LATE_NS, OUTPUT_LATE_NS + 1, 0, PERIOD_NS] {
+        rig.sampler.sample(&mut rig.port, 0, 0);
+        rig.sampler.bus_deadline(&mut rig.port, elapsed_ns);
+        counts.push(rig.reports.dequeue().map(|report| report.counters.cycles_late));
+    }
+    assert_eq!(counts, [0, 1, 1, 2].map(Some));
+}

@@ -64,3 +64,50 @@ fn an_axis_without_an_inertia_has_limits_that_are_numbers() {
         assert!(model.used().iter().all(|used| used.is_finite()), "{:?}", model.used());
     }
 }
+
+#[test]
+fn a_constant_torque_moves_the_model_with_the_square_of_time() {
+    let axis = Axis::default();
+    let mut model = model(&axis);
+    let (torque_nm, time_s) = (1.5, 0.2);
+    let moved_rad: f64 = (0..200)
+        .map(|_| f64::from(model.expect((torque_nm * DIGITS_PER_NM) as f32)))
+        .sum();
+    // The command arrives later by the delays of the drive.
+    let delay_s = (axis.torque_lead_ms + axis.measurement_age_ms) * STEP_S;
+    let expected_rad = |time_s: f64| 0.5 * torque_nm / axis.inertia_kg_m2 * time_s * time_s;
+    let between = expected_rad(time_s - 2.0 * delay_s)..expected_rad(time_s);
+    assert!(between.contains(&moved_rad), "{moved_rad} rad, not {between:?}");
+}
+
+#[test]
+fn a_setpoint_that_leads_away_from_a_position_at_rest_is_not_followed() {
+    let mut model = model(&Axis::default());
+    // Long after the drive took its power.
+    for _ in 0..5_000 {
+        model.expect(0.0);
+        assert!(model.follows(0.0));
+    }
+    let moving = Demanded {
+        own_rad_s: -0.2,
+        greatest_rad_s: 0.2,
+        ..Demanded::default()
+    };
+    model.set_demanded(&moving);
+    let limit_rad = Following::of(&Axis::default(), Axis::default().inertia_kg_m2).base_rad;
+    let refused_ms = (1..=500).find(|_| {
+        model.expect(0.0);
+        !model.follows(0.0)
+    });
+    let led_rad = refused_ms.map(|ms| ms as f32 * 0.2e-3);
+    assert!(
+        led_rad.is_some_and(|led_rad| led_rad > limit_rad && led_rad < 5.0 * limit_rad),
+        "{led_rad:?} rad of {limit_rad}"
+    );
+    let [value, limit] = model.broken().unwrap();
+    assert_eq!(value, model.stuck.value, "another comparison: {value} of {limit}");
+    // An axis that is to rest has nothing to follow.
+    model.set_demanded(&Demanded::default());
+    model.expect(0.0);
+    assert!(model.follows(0.0), "{:?}", model.used());
+}

@@ -485,3 +485,44 @@ fn a_move_and_the_pen_come_in_from_outside_and_lead_nowhere_else() {
         "{refusal:?}"
     );
 }
+
+#[test]
+fn a_path_that_is_held_while_it_waits_for_data_moves_only_when_it_is_resumed() {
+    let settings = Settings::default();
+    let (path, _) = portrait(&mut Random::new(5), 3);
+    let mut run = Run::new(&settings, &path);
+    run.command(MotionCommand::Start);
+    run.feed(12);
+    for _ in 0..120 {
+        run.step();
+    }
+    assert_eq!(run.trajectory.state(), MotionState::Starved);
+    let waiting = *run.setpoints.last().unwrap();
+    run.command(MotionCommand::Hold);
+    for _ in 0..50 {
+        run.feed(usize::MAX);
+        run.step();
+        assert_eq!(run.trajectory.state(), MotionState::Held);
+        assert_eq!(run.setpoints.last().unwrap().position_rad, waiting.position_rad);
+    }
+    run.command(MotionCommand::Resume);
+    run.until(MotionState::Idle);
+    run.check_limits("held while starved");
+    assert_eq!(run.trajectory.executed() as usize, path.len());
+}
+
+#[test]
+fn a_jog_is_no_faster_than_the_travel_speed() {
+    let mut settings = Settings::default();
+    settings.motion.travel_speed_mm_s = 20.0;
+    let mut run = Run::new(&settings, &[vertex([0.0, 0.0, -850.0], Pen::Up, 0)]);
+    let mut fastest_mm_s = 0.0_f64;
+    for _ in 0..60 {
+        let before = run.end();
+        run.command(MotionCommand::Jog([40.0, -30.0, 0.0]));
+        run.step();
+        let speed_mm_s = length(&subtract(&run.end(), &before)) / (PERIOD_MS as f64 * TICK_S);
+        fastest_mm_s = fastest_mm_s.max(speed_mm_s);
+    }
+    assert!(fastest_mm_s > 19.0 && fastest_mm_s <= 20.0, "{fastest_mm_s} mm/s");
+}
