@@ -100,7 +100,7 @@ pub(crate) fn mcap_seeds() -> Vec<Vec<u8>> {
 /// and a frame.
 pub(crate) fn pcapng(bytes: &[u8]) {
     let mut capture = Capture::new(Vec::new()).expect("memory");
-    let (mut rest, mut time_us, mut frames) = (bytes, u64::MAX / 2, Vec::new());
+    let (mut rest, mut time_us, mut frames) = (bytes, u64::MAX / 2_000, Vec::new());
     while let Some(([ms, low, high], behind)) = rest.split_first_chunk() {
         let length = usize::from(u16::from_le_bytes([*low, *high]));
         let (frame, behind) = behind.split_at(behind.len().min(length));
@@ -112,7 +112,7 @@ pub(crate) fn pcapng(bytes: &[u8]) {
             Direction::Received
         };
         capture.record(time_us, direction, frame).expect("memory");
-        frames.push((time_us.wrapping_mul(1_000), frame));
+        frames.push((time_us * 1_000, frame));
     }
     let file = capture.finish().expect("memory");
     assert_eq!(packets(&file), frames);
