@@ -5,6 +5,7 @@ use super::error::{JobError, Phase};
 use super::task::{DrawTask, Motion, Ready, Task};
 use crate::link::measurement::Reader;
 use etherpen::application::Mode;
+use etherpen::link::message::PathAck;
 use etherpen::messages::Command;
 
 /// Longest silence of the firmware after connecting, ms.
@@ -214,8 +215,9 @@ impl Job {
                 self.status_before = self.status.clone();
                 self.start_path();
             }
-            // Everything had been sent when the connection broke.
-            (Mode::Idle, Some(ack)) if ack.finished => {
+            // Everything had been sent when the connection broke. The report that it has ended may be lost: a robot that
+            // is idle after the last vertex has ended it.
+            (Mode::Idle, Some(ack)) if ack.finished || has_executed(ack, drawing) => {
                 self.ack = *ack;
                 self.enter(Phase::Resting);
             }
@@ -405,4 +407,9 @@ impl Job {
             self.awaited = Some(self.session.command(command));
         }
     }
+}
+
+/// Whether the firmware has executed a drawing to its last vertex.
+fn has_executed(ack: &PathAck, drawing: &DrawTask) -> bool {
+    ack.complete && ack.executed as usize >= drawing.vertices.len()
 }
