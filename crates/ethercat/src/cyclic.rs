@@ -360,9 +360,10 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
         for (number, (new, kept)) in plan.slaves.iter().zip(&mut kept).enumerate() {
             let old = self.plan.slaves.get(number).copied().unwrap_or_default();
             let same = (old.output_address, old.output_length) == (new.output_address, new.output_length);
-            // Outputs that are no longer written return to zero.
-            let used = (old.role, self.plan.terminals.contains(number));
-            if same && used == (new.role, plan.terminals.contains(number)) {
+            // Outputs that are no longer written return to zero. Nobody writes those of a terminal that is out of operation,
+            // and it would show them as soon as it is back.
+            let used = (old.role, self.plan.terminals.contains(number) && old.watched);
+            if same && used == (new.role, plan.terminals.contains(number) && new.watched) {
                 super::wire::write_bytes(kept, 0, self.output(number));
             }
         }

@@ -8,6 +8,7 @@ use super::cyclic::{AlStatus, Arrival, CyclicPlan, CyclicSlave, Exchange, Ignore
 use super::no_drivers::NoDrivers;
 use super::process_data::LOGICAL_START;
 use super::random::Random;
+use super::slave_set::SlaveSet;
 use super::supervisor::SupervisorEnd;
 use super::wire::{Address, Command, Datagram, Datagrams, FrameView, PAYLOAD_OFFSET, SOURCE_BIT, read_u16};
 use std::boxed::Box;
@@ -388,6 +389,31 @@ fn without_a_plan_there_are_no_outputs_and_a_removed_slaves_outputs_are_cleared(
     assert!(end.plans.enqueue(plan(true)).is_ok());
     input(&mut exchange);
     assert_eq!(exchange.output(0), [0; 6]);
+}
+
+#[test]
+fn outputs_of_a_terminal_that_left_operation_are_zero_until_they_are_set_again() {
+    let (mut exchange, mut end) = exchange();
+    let with = |watched| CyclicPlan {
+        terminals: SlaveSet::of(1),
+        ..plan(watched)
+    };
+    for watched in [true, false, true] {
+        assert!(end.plans.enqueue(with(watched)).is_ok());
+        input(&mut exchange);
+        assert_eq!(exchange.output(1), [0; 6], "watched: {watched}");
+        exchange.output(1).fill(7);
+        exchange.output(0).fill(7);
+        // The plan does not change for this slave.
+        assert!(end.plans.enqueue(with(watched)).is_ok());
+        input(&mut exchange);
+        assert_eq!(exchange.output(1), [7; 6]);
+        assert_eq!(
+            exchange.output(0),
+            [7; 6],
+            "a slave that is no terminal keeps its outputs"
+        );
+    }
 }
 
 #[test]
