@@ -240,6 +240,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         let demand = Demand::Velocity(0.0);
         self.robot
             .write(&mut self.group, &[AxisCommand { target, demand }; AXES]);
+        self.io.write(&mut self.group, true);
         let telegram = match self.group.exchange_kind() {
             ExchangeKind::Split => self.group.trigger_output(),
             ExchangeKind::Combined => self.group.trigger_input(),

@@ -46,11 +46,7 @@ pub(super) const fn terminal_event(event: &BusEvent) -> Option<u8> {
         BusEvent::SlaveLost { position }
         | BusEvent::SlaveLeft { position, .. }
         | BusEvent::TerminalRefused { position, .. }
-        | BusEvent::ProcessorStopped { position, .. }
-        | BusEvent::Refused {
-            position: Some(position),
-            ..
-        } => Some(*position),
+        | BusEvent::ProcessorStopped { position, .. } => Some(*position),
         _ => None,
     }
 }

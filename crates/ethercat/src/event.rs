@@ -49,9 +49,11 @@ impl WantedValue {
 /// The bus that a bring-up expects, and how to run it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BusSetup<F: SlaveFactory> {
-    /// Members expected: the first slaves in the chain that have a driver, in chain order.
+    /// Members expected: the first slaves in the chain that have a driver and are not among the terminals that are named,
+    /// in chain order.
     pub members: u8,
-    /// Places of further slaves that take part with their own process data: those of the set that are no members. They
+    /// Places of further slaves that take part with their own process data: those of the set that are no members. A set
+    /// of all places leaves members their places; any other set takes its places from them. Terminals
     /// are brought to OP, exchanged in each cycle, watched and repaired like members. One that fails keeps no member from
     /// operating.
     pub terminals: SlaveSet,

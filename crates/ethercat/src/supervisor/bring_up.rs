@@ -142,6 +142,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     /// first such failure is returned.
     pub(super) async fn identify_all(&mut self, found: u16) -> Result<Option<Failure>, Failure> {
         self.slaves.clear();
+        self.forget_file();
         self.ordered = usize::from(found);
         for position in 0..found {
             // There is room for as many slaves as were found.
@@ -175,7 +176,14 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     /// Numbers the members: the slaves with a driver, in chain order.
     fn choose_members(&mut self) -> Result<(), BusError> {
         let expected = self.setup.members;
-        let known = self.slaves.iter_mut().filter(|slave| slave.device.is_some());
+        let named = self.setup.terminals;
+        // A slave that the application names as a terminal is none of its members, whatever it is; a set of all places
+        // names nobody.
+        let is_free = |slave: &Slave<F>| named == SlaveSet::ALL || !named.contains(slave.position.into());
+        let known = self
+            .slaves
+            .iter_mut()
+            .filter(|slave| slave.device.is_some() && is_free(slave));
         let actual = (0..expected)
             .zip(known)
             .map(|(member, slave)| slave.member = Some(member))
@@ -442,6 +450,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     /// Takes all slaves in use out of OP: safe outputs, then SAFEOP, PREOP and INIT. A slave that does not follow is
     /// left to its watchdog.
     pub(super) async fn shut_down(&mut self) {
+        self.forget_file();
         self.send_safe_plan().await;
         self.port.wait_ms(SAFE_OUTPUTS_MS).await;
         for target in [AlState::SafeOperational, AlState::PreOperational, AlState::Init] {

@@ -134,6 +134,10 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let Self { port, slaves, .. } = self;
         let slave = slaves.get_mut(file.number).ok_or(ServiceError::Interrupted)?;
         let station = slave.station();
+        if file.bootstrap && !state::report(port, station).await?.is(AlState::Bootstrap) {
+            // A repair or a new bring-up has taken the slave out of BOOT: it may move a motor by now.
+            return Ok(());
+        }
         if !file.ended {
             // The change of state below ends the transfer too.
             let _ = FileAccess::new(port, &mut slave.mailbox).cancel().await;
@@ -147,13 +151,19 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         Ok(())
     }
 
+    /// Forgets the open file: its slave begins anew.
+    pub(super) fn forget_file(&mut self) {
+        self.file = None;
+        self.value.clear();
+    }
+
     /// Brings a slave to BOOT, with the mailboxes of this state.
     async fn enter_bootstrap(&mut self, number: usize, fixed: FixedPart) -> Result<(), ServiceError> {
         self.work_on(Some(number)).await;
         let Self { port, slaves, .. } = self;
         let slave = slaves.get_mut(number).ok_or(ServiceError::Interrupted)?;
         let station = slave.station();
-        if slave.member.is_some() {
+        if slave.is_used() {
             slave.condition = Condition::Parked;
         } else {
             slave.process_data = None;
