@@ -275,3 +275,56 @@ fn the_supervisor_gets_one_order_at_a_time() {
     assert_eq!(tasks.bus_commands.dequeue(), Some(BusCommand::Recover));
     assert_eq!(tasks.coordinator.status().counters.ethernet_errors, 3);
 }
+
+#[test]
+fn what_the_link_and_the_sampler_drop_is_counted_in_the_status() {
+    let mut tasks = Tasks::configured();
+    let losses = LinkLosses { samples: 5, frames: 3 };
+    tasks.coordinator.set_link_losses(losses);
+    let counters = tasks.coordinator.status().counters;
+    assert_eq!((counters.telemetry_dropped, counters.link_errors), (5, 3));
+    let mut report = CycleReport::default();
+    report.counters.reports_dropped = 2;
+    tasks.reports.enqueue(report).unwrap();
+    tasks.coordinator.take_sample();
+    tasks.coordinator.set_link_losses(losses);
+    let counters = tasks.coordinator.status().counters;
+    assert_eq!((counters.telemetry_dropped, counters.link_errors), (7, 3));
+}
+
+#[test]
+fn each_drawing_counts_its_vertices_from_0() {
+    let mut tasks = Tasks::configured();
+    tasks.event(BusEvent::Operational);
+    let mut report = CycleReport {
+        valid: [true; AXES],
+        homed: [true; AXES],
+        status_word: [0x0237; AXES],
+        standstill: true,
+        ..CycleReport::default()
+    };
+    let mut step = |tasks: &mut Tasks| {
+        report.cycle += 10;
+        tasks.reports.enqueue(report).unwrap();
+        tasks.coordinator.take_sample();
+        tasks.coordinator.advance();
+        tasks.coordinator.step(0);
+    };
+    step(&mut tasks);
+    assert_eq!(tasks.coordinator.command(Command::Enable), Ok(()));
+    for job in 1..=2 {
+        step(&mut tasks);
+        assert_eq!(tasks.coordinator.mode(), Mode::Idle);
+        assert_eq!(tasks.coordinator.command(Command::Draw { job }), Ok(()));
+        let refusal = tasks.coordinator.path(&[vertex(900_000)], false).unwrap_err();
+        assert_eq!(refusal.index, 0, "in drawing {job}");
+        assert_eq!(tasks.coordinator.path(&[vertex(0), vertex(1_000)], true), Ok(()));
+        // The trajectory is at rest, and has taken the order.
+        let orders = tasks.coordinator.orders_sent;
+        tasks.coordinator.motion = MotionReport {
+            idle: true,
+            orders,
+            ..MotionReport::default()
+        };
+    }
+}

@@ -4,7 +4,7 @@ extern crate std;
 
 use super::BusQueues;
 use super::acyclic::{IN_FLIGHT_MAX, Outcome, Request};
-use super::cyclic::{AlStatus, Arrival, CyclicPlan, CyclicSlave, Exchange, Ignored, SILENT_CYCLES};
+use super::cyclic::{AlStatus, Arrival, CyclicPlan, CyclicSlave, Exchange, ExchangeKind, Ignored, SILENT_CYCLES};
 use super::no_drivers::NoDrivers;
 use super::process_data::LOGICAL_START;
 use super::random::Random;
@@ -237,6 +237,42 @@ fn every_request_gets_one_reply_in_order_lost_or_not() {
     assert!(end.port.registers.replies.dequeue().is_none());
     input(&mut exchange);
     assert_eq!(end.port.registers.replies.dequeue().unwrap().outcome, Outcome::Lost);
+}
+
+#[test]
+fn a_request_that_no_frame_has_room_for_is_answered_in_its_turn() {
+    // The process data leave less room than the longest request needs.
+    const MANY: usize = 19;
+    let (exchange_end, mut end, _) = Box::leak(Box::new(BusQueues::<NoDrivers, MANY, MESSAGE>::new())).split();
+    let slaves = (0..MANY as u32).map(|number| CyclicSlave {
+        input_address: LOGICAL_START + 64 * number,
+        input_length: 32,
+        output_address: LOGICAL_START + 64 * number + 32,
+        output_length: 32,
+        ..CyclicSlave::default()
+    });
+    let full = CyclicPlan {
+        slaves: slaves.collect(),
+        exchange: ExchangeKind::Combined,
+        ..CyclicPlan::default()
+    };
+    assert!(end.plans.enqueue(full).is_ok());
+    let mut exchange = Exchange::new(exchange_end, MAC);
+    let mut outcomes_after_frame = |lengths: &[usize]| {
+        for length in lengths {
+            let request = Request::read(Command::Fprd, Address::station(0x1001, 0x0110), *length);
+            assert!(end.port.registers.requests.enqueue(request).is_ok());
+        }
+        exchange.input_telegram();
+        let replies = core::iter::from_fn(|| end.port.registers.replies.dequeue());
+        replies.map(|reply| reply.outcome).collect::<Vec<_>>()
+    };
+    let no_room = Outcome::NoRoom { room: 28 };
+    assert_eq!(outcomes_after_frame(&[64]), [no_room]);
+    assert_eq!(outcomes_after_frame(&[2, 64, 64, 4]), []);
+    assert_eq!(outcomes_after_frame(&[]), [Outcome::Lost, no_room, no_room]);
+    assert_eq!(outcomes_after_frame(&[]), [Outcome::Lost]);
+    assert!(end.port.registers.requests.is_empty());
 }
 
 #[test]

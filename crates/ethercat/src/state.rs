@@ -395,6 +395,8 @@ mod tests {
         Stubborn,
         /// Device emulation: it copies what it gets.
         Emulated,
+        /// The first reading of its status after the first request does not reach it.
+        Unheard,
     }
 
     struct Slave {
@@ -406,8 +408,11 @@ mod tests {
 
     impl Slave {
         fn answer(&mut self, request: &Request) -> Reply<REGISTER_BYTES_MAX> {
-            let mut data = request.data.clone();
+            let (mut data, mut working_counter) = (request.data.clone(), 1);
             match (request.command, request.address.register()) {
+                (Command::Fprd, register::AL_STATUS) if self.nature == Nature::Unheard && self.written.len() == 1 => {
+                    working_counter = 0;
+                }
                 (Command::Fprd, register::AL_STATUS) => {
                     let is_error = self.status & register::AL_ERROR_BIT != 0 && self.nature != Nature::Emulated;
                     write_bytes(&mut data, 0, &self.status.to_le_bytes());
@@ -428,7 +433,7 @@ mod tests {
             }
             Reply {
                 data,
-                outcome: Outcome::Processed { working_counter: 1 },
+                outcome: Outcome::Processed { working_counter },
             }
         }
     }
@@ -499,6 +504,13 @@ mod tests {
             assert_eq!(result, Ok(()));
             assert_eq!(written.last(), Some(&(target as u16)), "{written:x?}");
         }
+    }
+
+    #[test]
+    fn a_request_whose_status_was_not_read_is_tried_again() {
+        let (result, written) = with_slave(2, Nature::Unheard, async |port| request(port, 0x1001, 4).await);
+        assert_eq!(result, Ok(AlReport { status: 2, code: 0 }));
+        assert_eq!(written, [4, 4]);
     }
 
     #[test]

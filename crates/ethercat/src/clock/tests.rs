@@ -421,6 +421,15 @@ fn sync_starts_ahead_in_time_at_its_shift_behind_the_phase_of_the_frames() {
 }
 
 #[test]
+fn without_a_period_sync_starts_at_the_earliest_time() {
+    let clocks = BusClocks::<4>::default();
+    assert_eq!(clocks.period_ns, 0);
+    for now_ns in [0, 1, u64::from(u32::MAX)] {
+        assert_eq!(clocks.start_time_ns(now_ns, 250_000), now_ns + START_AHEAD_NS);
+    }
+}
+
+#[test]
 fn a_clock_that_does_not_follow_is_an_error_with_its_difference() {
     // Half a percent fast and without a control loop: 32 frames later it is far away.
     let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 5_000_000), (WIDE, 42, 0), (WIDE, 7, 0)]);

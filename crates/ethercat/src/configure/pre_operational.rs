@@ -349,3 +349,87 @@ async fn find_category<const MESSAGE: usize>(
     }
     Ok(None)
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::acyclic::{IN_FLIGHT_MAX, Lane, Outcome, Reply, Request};
+    use core::pin::pin;
+    use core::task::{Context, Poll, Waker};
+    use heapless::spsc::Queue;
+    use std::vec::Vec;
+
+    /// An SII with the records of a slave's inputs and nothing else.
+    fn sii(records: &[[u8; 8]]) -> Vec<u8> {
+        let mut bytes = std::vec![0; 2 * usize::from(sii::WORD_CATEGORIES)];
+        // Two KiBit.
+        write_bytes(&mut bytes, 2 * usize::from(sii::WORD_SIZE), &[1]);
+        let words = RECORD_WORDS * records.len() as u16;
+        for word in [sii::CATEGORY_TX_PDO, words] {
+            bytes.extend(word.to_le_bytes());
+        }
+        bytes.extend(records.concat());
+        bytes.extend([0xFF; 16]);
+        bytes
+    }
+
+    /// A slave's answer; `word` is the one that was asked for last.
+    fn answer(request: &Request, sii: &[u8], word: &mut u16) -> Reply {
+        let mut data = request.data.clone();
+        if request.address.register() == register::SII_CONTROL {
+            match request.command.writes() {
+                true => *word = read_u16(&data, 2),
+                false => {
+                    let from = sii.get(2 * usize::from(*word)..).unwrap_or(&[]);
+                    write_bytes(&mut data, 0, &register::SII_READS_8_BYTES.to_le_bytes());
+                    write_bytes(&mut data, 2, &word.to_le_bytes());
+                    write_bytes(&mut data, 6, &from[..from.len().min(8)]);
+                }
+            }
+        }
+        let outcome = Outcome::Processed { working_counter: 1 };
+        Reply { data, outcome }
+    }
+
+    /// The number of objects that the SII assigns to the inputs, and their entries.
+    fn inputs(records: &[[u8; 8]]) -> (Result<u8, BusError>, Vec<Entry>) {
+        let (sii, mut word, mut entries) = (sii(records), 0, Vec::new());
+        let mut requests = Queue::<Request, { IN_FLIGHT_MAX + 1 }>::new();
+        let mut replies = Queue::<Reply, { IN_FLIGHT_MAX + 1 }>::new();
+        let (mut messages, mut answers) = (Queue::<Request<32>, 2>::new(), Queue::<Reply<32>, 2>::new());
+        let (ask, mut asked) = requests.split();
+        let (mut give, given) = replies.split();
+        let message_lane = Lane::new(messages.split().0, answers.split().1);
+        let mut port = AcyclicPort::new(Lane::new(ask, given), message_lane);
+        let mut take = |entry| {
+            entries.push(entry);
+            Ok(())
+        };
+        let found = {
+            let here = |pdo: &PdoRecord| pdo.sync_manager == SYNC_MANAGER_INPUTS;
+            let mut work = pin!(sii_entries(&mut port, 0x1001, Direction::Inputs, here, &mut take));
+            let mut polls = (0..1_000).map(|_| {
+                let result = work.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+                while let Some(request) = asked.dequeue() {
+                    assert!(give.enqueue(answer(&request, &sii, &mut word)).is_ok());
+                }
+                result
+            });
+            polls.find_map(|result| match result {
+                Poll::Ready(found) => Some(found),
+                Poll::Pending => None,
+            })
+        };
+        (found.expect("an end"), entries)
+    }
+
+    #[test]
+    fn a_process_data_object_without_entries_in_the_sii_does_not_count() {
+        let object = |index: u8, entries| [index, 0x1A, entries, SYNC_MANAGER_INPUTS, 0, 0, 0, 0];
+        let entry = [0x64, 0x60, 0, 0, 0, 32, 0, 0];
+        let position = Entry::new(Object::new(0x6064, 0), 32);
+        assert_eq!(inputs(&[object(0, 0)]), (Ok(0), Vec::new()));
+        let records = [object(0, 0), object(1, 1), entry, object(2, 0)];
+        assert_eq!(inputs(&records), (Ok(1), std::vec![position]));
+    }
+}

@@ -5,7 +5,7 @@ extern crate std;
 use super::super::acyclic::{Outcome, Reply, Request};
 use super::super::clock::{BusClocks, SlaveClock, Width};
 use super::super::configure::Windows;
-use super::super::configure::discovery::STATION_BASE;
+use super::super::configure::discovery::{STATION_BASE, STATION_TEMPORARY};
 use super::super::cyclic::{CyclicSlave, ExchangeEnd};
 use super::super::driver::ProcessData;
 use super::super::no_drivers::NoDrivers;
@@ -58,6 +58,8 @@ struct Outside {
     chain: Vec<Device>,
     /// The slave that is switched off as soon as a slave is addressed by its place.
     switched_off: Option<usize>,
+    /// The slave that is plugged in at the end of the chain at the same time.
+    plugged_in: Option<Device>,
     exchange: ExchangeEnd<'static, NoDrivers, SLAVES, MESSAGE>,
     application: ApplicationEnd<'static, NoDrivers>,
     plans: Vec<CyclicPlan<NoDrivers, SLAVES>>,
@@ -70,6 +72,7 @@ impl Outside {
         let outside = Self {
             chain: chain.to_vec(),
             switched_off: None,
+            plugged_in: None,
             exchange,
             application,
             plans: Vec::new(),
@@ -103,6 +106,7 @@ impl Outside {
             && let Some(place) = self.switched_off.take()
         {
             self.chain.remove(place);
+            self.chain.extend(self.plugged_in.take());
         }
         Reply {
             data,
@@ -264,4 +268,63 @@ fn a_new_slave_does_not_get_the_address_of_one_that_is_switched_off_meanwhile() 
         Err(BusError::SlaveCount { expected: 3, actual: 2 })
     );
     assert_eq!(outside.stations(), [STATION_BASE, 0]);
+}
+
+#[test]
+fn a_mark_that_another_slave_has_got_is_taken_back_also_if_as_many_slaves_are_there_as_before() {
+    let chain = [STATION_BASE, STATION_BASE + 1, 0].map(Device::at);
+    let (mut outside, mut bus) = Outside::with_bus(&chain);
+    bus.slaves = (0..3).map(Slave::at).collect();
+    bus.ordered = 3;
+    let places = outside.run(bus.places()).unwrap();
+    (outside.switched_off, outside.plugged_in) = (Some(0), Some(Device::at(0)));
+    let expected = BusError::Station {
+        expected: STATION_TEMPORARY,
+        actual: 0,
+    };
+    assert_eq!(outside.run(bus.mark(2, &places)), Err(expected));
+    assert_eq!(outside.stations(), [STATION_BASE + 1, 0, 0]);
+}
+
+#[test]
+fn a_slave_with_the_temporary_address_loses_it_and_counts_as_one_without_an_address() {
+    let chain = [STATION_BASE, STATION_TEMPORARY].map(Device::at);
+    let (mut outside, mut bus) = Outside::with_bus(&chain);
+    let places = outside.run(bus.places()).unwrap();
+    assert_eq!(places, [STATION_BASE, 0]);
+    assert_eq!(outside.stations(), [STATION_BASE, 0]);
+}
+
+#[test]
+fn an_event_that_the_application_leaves_no_room_for_is_counted() {
+    let (mut outside, mut bus) = Outside::with_bus(&[]);
+    let room = outside.application.events.capacity();
+    for (events, dropped) in (1..=room + 2).map(|events| (events, events.saturating_sub(room))) {
+        // The application takes no events meanwhile.
+        let polls = {
+            let mut emitted = pin!(bus.emit(BusEvent::Stopped));
+            let mut poll = || emitted.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+            (0..1_000).take_while(|_| poll().is_pending()).count()
+        };
+        assert!(polls < 1_000, "event {events} waits for ever");
+        assert_eq!(bus.events_dropped as usize, dropped, "after event {events}");
+    }
+    outside.step();
+    assert_eq!(outside.events.len(), room);
+}
+
+#[test]
+fn the_distributor_is_the_first_slave_that_answers_with_the_time_of_the_bus() {
+    let (_outside, mut bus) = Outside::with_bus(&[]);
+    bus.slaves = (0..3).map(Slave::at).collect();
+    assert_eq!(bus.distributor(), None);
+    let clock = |is_set| SlaveClock {
+        width: Some(Width::Bits64),
+        is_set,
+        ..SlaveClock::default()
+    };
+    bus.clocks.slaves = [false, true, true].map(clock).into_iter().collect();
+    assert_eq!(bus.distributor(), Some(1));
+    bus.slaves[1].condition = Condition::Lost;
+    assert_eq!(bus.distributor(), Some(2));
 }
