@@ -12,7 +12,7 @@ use host_tools::cell::{DriveState, Fault as CellFault, InkStroke, ResolverFault}
 const SPEEDS_MM_S: [f64; 2] = [60.0, 400.0];
 /// How far ink may be from the ink of a sound robot after single lost targets, mm: the drives extrapolate.
 const EXTRAPOLATED_MM: f64 = 0.07;
-/// The same after three targets in a row: the drives stand for two of them at 400 mm/s.
+/// Longest distance of ink after three lost targets in a row, mm: the drives stand for two of them at 400 mm/s.
 const HELD_MM: f64 = 1.2;
 /// Distance of ink from the same strokes of a sound robot after a fault that stopped the robot, mm, besides half the
 /// distance of two points of ink.

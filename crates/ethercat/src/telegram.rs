@@ -128,7 +128,7 @@ impl Share {
 enum Copying {
     /// The first [`PIECE_LEN`] bytes of each slave's data, which hold its inputs.
     FirstPieces,
-    /// The same, and then those inputs that lie elsewhere or are longer.
+    /// The first [`PIECE_LEN`] bytes of each slave's data, then those inputs that lie elsewhere or are longer.
     FirstPiecesAndOthers,
     /// As many bytes as each slave has: a datagram ends too close to the frame's end for a whole piece.
     Exact,
@@ -621,7 +621,7 @@ impl<const SLAVES: usize> Telegram<SLAVES> {
         (is_whole.then_some(time_ns), low | high)
     }
 
-    /// The same for a clock of 32 bits.
+    /// The time of a reference clock of 32 bits, ns, if all slaves took it, and the bits in which its header differs.
     #[inline(never)]
     fn take_narrow_clock(&self, payload: &[u8], place: u16) -> (Option<u64>, u32) {
         let Some(clock) = chunk::<{ DATAGRAM_OVERHEAD + 4 }>(payload, place.into()) else {
