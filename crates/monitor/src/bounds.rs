@@ -104,6 +104,8 @@ pub(crate) struct Bounds {
     /// Distance of the tool from the path with the pen down and up, mm.
     pub(crate) drawn_mm: f64,
     pub(crate) travel_mm: f64,
+    /// Distance of a pen that draws from its line in plan view while nothing is disturbed, mm.
+    pub(crate) undisturbed_mm: f64,
     /// Distance of the tool from the work area, mm.
     pub(crate) area_mm: f64,
     /// Height up to which the pen may touch, mm.
@@ -146,6 +148,7 @@ impl Bounds {
             power_off_ms: STANDSTILL_AND_BRAKE_MS + POWER_CHANGE_MS,
             drawn_mm: cell.tolerance_mm + following_mm,
             travel_mm: cell.travel_tolerance_mm.max(cell.tolerance_mm) + following_mm,
+            undisturbed_mm: cell.tolerance_mm + cell.undisturbed_mm + lag.max(0.0),
             area_mm: AREA_MM + following_mm,
             touch_z_mm: cell.paper.pen_down_z_mm + cell.paper.pen_spring_mm,
             z_low_mm: cell

@@ -134,6 +134,10 @@ pub struct Cell {
     /// How far the tool may be from its setpoints at rest and in steady motion, mm. 0.3 leaves room beside the 0.1 mm
     /// that drives with a velocity loop of their own keep; motors in torque mode need 1.0 (`tests/drives.rs`).
     pub following_mm: f64,
+    /// How far the pen may be beside its line, in addition to the tolerance and to what its acceleration explains, while
+    /// nothing is disturbed, mm. 0.3 judges no more than `following_mm`; drives with a velocity loop of their own keep
+    /// 0.02 in campaigns.
+    pub undisturbed_mm: f64,
     /// How long a joint may creep after a motion, ms. The position controller closes the last hundredths of a degree
     /// with a time constant of at most 25 ms: 100; motors in torque mode against the paper need 250.
     pub creep_ms: u32,
@@ -188,6 +192,7 @@ impl Default for Cell {
             tolerance_mm: 0.05,
             travel_tolerance_mm: 0.5,
             following_mm: 0.3,
+            undisturbed_mm: 0.3,
             creep_ms: 100,
             overshoot_part: 0.05,
             overshoot_mm_s: 20.0,

@@ -150,7 +150,12 @@ impl Rig {
 
     /// On the paper at the beginning of a line of 40 mm along x.
     pub(crate) fn drawing_on_paper() -> Self {
-        let mut rig = Self::idle_at([0.0, 0.0, -847.0]);
+        Self::drawing_on_paper_with(Cell::default())
+    }
+
+    /// On the paper of this cell at the beginning of a line of 40 mm along x.
+    pub(crate) fn drawing_on_paper_with(cell: Cell) -> Self {
+        let mut rig = Self::with(cell).at([0.0, 0.0, -847.0]).enabled();
         rig.draw();
         let path = [([0.0, 0.0, -847.0], false), ([0.0, 0.0, -850.0], false)];
         let path = path

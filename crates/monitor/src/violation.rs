@@ -25,6 +25,8 @@ pub enum Rule {
     Pen,
     /// While drawing, the tool is never far from the path.
     Following,
+    /// Where nothing is disturbed, a pen that draws keeps the tolerance of its line.
+    Tolerance,
     /// A reported standstill is a standstill.
     Mode,
     /// A drawing that is reported as finished has all of its ink.
@@ -37,7 +39,7 @@ pub enum Rule {
 
 impl Rule {
     /// All rules.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::Speed,
         Self::Acceleration,
         Self::Area,
@@ -48,6 +50,7 @@ impl Rule {
         Self::Silence,
         Self::Pen,
         Self::Following,
+        Self::Tolerance,
         Self::Mode,
         Self::Finished,
         Self::Counters,
@@ -68,6 +71,7 @@ impl Rule {
             Self::Silence => "silence",
             Self::Pen => "pen",
             Self::Following => "following",
+            Self::Tolerance => "tolerance",
             Self::Mode => "mode",
             Self::Finished => "finished",
             Self::Counters => "counters",
@@ -89,6 +93,7 @@ impl Rule {
             Self::Silence => "A drawing is held when its host falls silent.",
             Self::Pen => "The pen touches the paper only where it was ordered to.",
             Self::Following => "While drawing, the tool is never far from the path.",
+            Self::Tolerance => "Where nothing is disturbed, a pen that draws keeps the tolerance of its line.",
             Self::Mode => "A reported standstill is a standstill.",
             Self::Finished => "A drawing that is reported as finished has all of its ink.",
             Self::Counters => "Counters never go backwards, and count what happened.",

@@ -20,6 +20,9 @@ const FRAMES_MAX: usize = 16;
 /// (`tests/drives.rs`) and 1.2 mm in travel at 1,000 mm/s.
 const FOLLOWING_MM: f64 = 0.3;
 const FOLLOWING_BY_TORQUE_MM: f64 = 1.3;
+/// How far the pen may be beside its line in velocity mode, in addition to the tolerance and to what its acceleration
+/// explains, while nothing is disturbed, mm.
+const UNDISTURBED_MM: f64 = 0.02;
 /// By which part of its speed the tool may exceed it in velocity and in torque mode.
 const OVERSHOOT: f64 = 0.05;
 const OVERSHOOT_BY_TORQUE: f64 = 0.15;
@@ -547,6 +550,10 @@ fn cell(config: &Config) -> monitor::Cell {
         watchdog_ms: config.bus.watchdog_ms.into(),
         host_silence_ms: config.bus.host_silence_ms.into(),
         following_mm: following_mm(config),
+        undisturbed_mm: match config.axes.iter().all(|axis| axis.mode == AxisMode::Velocity) {
+            true => UNDISTURBED_MM,
+            false => following_mm(config),
+        },
         creep_ms: if by_torque(config) {
             CREEP_BY_TORQUE_MS
         } else {

@@ -396,6 +396,13 @@ impl Drawing {
             || self.singles.iter().flatten().any(|(_, leg)| near(leg))
     }
 
+    /// Whether a leg with the pen down, or one on which the pen is lowered or lifted, is within a distance of the tool in
+    /// plan view; legs around the last one are looked at first.
+    pub(crate) fn has_line_within(&self, tool: &Vector, distance_mm: f64) -> bool {
+        let squared = distance_mm * distance_mm;
+        self.is_too_much || self.any_leg(tool, distance_mm, |_, leg| leg.touch_distance_squared(tool) <= squared)
+    }
+
     /// Adds the ink of this millisecond.
     pub(crate) fn add_ink(&mut self, tool: &Vector) {
         self.ink.add(tool[0], tool[1]);

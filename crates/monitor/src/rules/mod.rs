@@ -14,6 +14,7 @@ mod permission;
 mod power;
 mod speed;
 mod stop;
+mod tolerance;
 mod wire;
 
 use crate::moment::Input;
@@ -30,6 +31,7 @@ pub(crate) struct Rules {
     permission: permission::Permission,
     pen: pen::Pen,
     following: following::Following,
+    tolerance: tolerance::Tolerance,
     mode: mode::ReportedMode,
     finished: finished::Finished,
     counters: counters::Counters,
@@ -57,6 +59,7 @@ impl Rules {
             self.permission.check(scene),
             self.pen.check(scene),
             self.following.check(scene),
+            self.tolerance.check(scene),
             self.mode.check(scene),
             self.finished.check(scene),
             self.counters.check(scene),
