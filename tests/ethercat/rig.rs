@@ -13,6 +13,7 @@ use etherpen::drives::io::IoTrigger;
 use etherpen::ethercat::cyclic::BusCounters;
 use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest, ServiceResult};
 use etherpen::ethercat::supervisor::{BusCommand, BusEvent, Supervisor};
+use etherpen::ethercat::wire::{Command, FrameView, register};
 use etherpen::robot_bus::{RobotBusCommand, RobotBusQueues, RobotBusSetup, RobotExchange, RobotGroup};
 use etherpen::robots::AXES;
 use heapless::spsc::{Consumer, Producer};
@@ -37,7 +38,21 @@ pub(crate) struct Rig<'a> {
     /// Fault of the next output telegram.
     pub(crate) output_fault: Option<Fault>,
     pub(crate) log: Vec<BusEvent>,
+    /// Writes to AL control that the master has sent.
+    pub(crate) state_requests: u32,
     pub(crate) now_ms: u64,
+}
+
+/// Number of datagrams in a frame that write to AL control.
+fn state_requests(frame: &[u8]) -> u32 {
+    let view = FrameView::new_checked(frame).expect("a frame of the master");
+    let datagrams = view.datagrams().filter_map(Result::ok);
+    let writes = datagrams.filter(|datagram| {
+        let command = datagram.command_number();
+        let is_write = [Command::Apwr, Command::Fpwr, Command::Bwr].map(|write| write as u8);
+        is_write.contains(&command) && datagram.address().register() == register::AL_CONTROL
+    });
+    writes.count() as u32
 }
 
 /// A started rig with this script of faults; it lives as long as the program.
@@ -78,6 +93,7 @@ pub(crate) fn idle_rig_of(options: CellOptions) -> Rig<'static> {
         command: AxisCommand::default(),
         output_fault: None,
         log: Vec::new(),
+        state_requests: 0,
         now_ms: 0,
     }
 }
@@ -126,6 +142,7 @@ impl Rig<'_> {
 
     pub(crate) fn transfer(&mut self, frame: &[u8], time_us: u64) {
         if !frame.is_empty() {
+            self.state_requests += state_requests(frame);
             for reply in self.cell.frame(time_us, frame) {
                 self.group.arrived(&reply);
             }

@@ -1,6 +1,6 @@
 //! Service requests, on a bus that was brought up and on one that was not.
 
-use crate::rig::{Rig, idle_rig, rig};
+use crate::rig::{Rig, idle_rig, idle_rig_of, rig};
 use etherpen::ethercat::diagnostics::{ServiceError, ServiceReply, ServiceRequest, SlaveInfo};
 use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::state::{AlReport, AlState};
@@ -111,6 +111,36 @@ fn an_sdo_in_operation_disturbs_no_cyclic_data() {
     assert_eq!((info.member, info.report), (Some(3), in_state(AlState::Operational)));
     assert!(info.status_word.is_some());
     assert_eq!((info.output_bytes, info.input_bytes), (6, 6));
+}
+
+#[test]
+fn switches_are_asked_for_in_init_and_preop_and_never_in_operation() {
+    let place = cell::PlaceOptions {
+        identification: Some(7),
+        ..cell::PlaceOptions::default()
+    };
+    let mut rig = idle_rig_of(cell::CellOptions {
+        places: vec![place; 4],
+        ..cell::CellOptions::default()
+    });
+    rig.start();
+    rig.operational();
+    rig.run_ms(20);
+    let before = rig.state_requests;
+    for state in [AlState::Operational, AlState::SafeOperational] {
+        if state == AlState::SafeOperational {
+            rig.ask(set_state(2, state)).expect("a lower state");
+        }
+        let before = rig.state_requests;
+        let seen = info(&mut rig, 2);
+        assert_eq!((seen.report, seen.switch), (in_state(state), None));
+        assert_eq!(rig.state_requests, before, "AL control was written in {state:?}");
+    }
+    assert!(rig.state_requests > before, "the test sees requests");
+    rig.ask(set_state(2, AlState::PreOperational)).expect("a lower state");
+    assert_eq!(info(&mut rig, 2).switch, Some(7));
+    rig.ask(set_state(2, AlState::Operational)).expect("it comes back");
+    assert_eq!(info(&mut rig, 2).switch, Some(7), "what was read stays known");
 }
 
 #[test]

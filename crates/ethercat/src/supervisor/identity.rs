@@ -40,8 +40,10 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 }
                 Err(_) => continue,
             };
+            let switches = self.compares_switches();
             if let Some(slave) = self.slaves.get_mut(number) {
                 slave.known = known;
+                slave.switch = switches.then_some(known.switch);
             }
         }
         for slave in &self.slaves {
@@ -70,12 +72,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
 
     /// Reads what the members' expectations compare.
     async fn known(&mut self, station: u16, identity: Identity) -> Result<KnownIdentity, BusError> {
-        let (mut aliases, mut switches) = (false, false);
-        for slave in &self.slaves {
-            let expected = self.expected(slave);
-            aliases |= expected.alias != 0;
-            switches |= expected.switch != 0;
-        }
+        let aliases = self.slaves.iter().any(|slave| self.expected(slave).alias != 0);
+        let switches = self.compares_switches();
         let mut known = KnownIdentity {
             identity,
             ..KnownIdentity::default()
@@ -90,7 +88,13 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         Ok(known)
     }
 
-    /// Asks a slave without a pending error for the number of its switches, for display, once.
+    /// Whether the switches of any member are compared.
+    fn compares_switches(&self) -> bool {
+        self.slaves.iter().any(|slave| self.expected(slave).switch != 0)
+    }
+
+    /// Asks a slave without a pending error for the number of its switches, for display, once. The slave has to be in INIT
+    /// or PREOP.
     pub(super) async fn ask_for_switch(&mut self, number: usize) -> Result<Option<u16>, BusError> {
         let Some(slave) = self.slaves.get(number).filter(|slave| !slave.report.is_flagged()) else {
             return Ok(None);

@@ -182,9 +182,11 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             _ => None,
         };
         let share = process_data::cyclic_slave(&slave);
-        let switch = match (memory.has_switch, slave.switch) {
-            (true, None) => self.ask_for_switch(number).await?,
-            (_, known) => known,
+        // To ask is to write AL control: never while the slave may move a motor or set an output.
+        let may_ask = matches!(report.state(), Some(AlState::Init | AlState::PreOperational));
+        let switch = match slave.switch {
+            None if memory.has_switch && may_ask => self.ask_for_switch(number).await?,
+            known => known,
         };
         Ok(SlaveInfo {
             station,
