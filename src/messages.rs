@@ -14,14 +14,15 @@ use crate::link::message::MESSAGE_BYTES_MAX;
 use crate::link::{CommandEffect, Protocol, device, message};
 use crate::measurement::{MeasurementAnswer, MeasurementRequest};
 use crate::motion::{self, Pen};
+use crate::robot_bus::BUS_SLAVES_MAX;
 use crate::robots::{AXES, GeometryError};
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 /// Version of this protocol; both ends must agree.
-pub const PROTOCOL_VERSION: u16 = 10;
-/// Slaves described in a status.
-pub const SLAVES_REPORTED: usize = 8;
+pub const PROTOCOL_VERSION: u16 = 11;
+/// Slaves described in a status: all that the robot's bus can have.
+pub const SLAVES_REPORTED: usize = BUS_SLAVES_MAX;
 
 /// The types of this robot's messages.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -207,6 +207,15 @@ pub enum Fault {
         /// Whether it is open or missing.
         cause: InputCause,
     },
+    /// Two named outputs share a bit of a terminal's outputs: one would hold it on while the other switches it off.
+    SharedOutput {
+        /// The terminal: position in the chain, from 0.
+        slave: u8,
+        /// The first output: its place in the configuration's `io`, from 0.
+        first: u8,
+        /// The second output.
+        second: u8,
+    },
     /// Drives confirmed no outputs for the blind limit: the telegrams were lost, or had the wrong working counter.
     OutputsLost {
         /// Axis, from 0; `None` for all axes.
@@ -274,6 +283,10 @@ impl Fault {
                     | Self::SlaveState { .. }
                     | Self::UnexpectedBus { .. }
                     | Self::RepairTimeout { .. }
+                    | Self::StopInput {
+                        cause: InputCause::Missing,
+                        ..
+                    }
             );
         }
         let is_specific = !matches!(self, Self::SlaveState { al_state, .. } if *al_state == AL_OPERATIONAL);
@@ -282,6 +295,10 @@ impl Fault {
             Self::Blind { .. }
                 | Self::OutputsLost { .. }
                 | Self::RepairTimeout { .. }
+                | Self::StopInput {
+                    cause: InputCause::Missing,
+                    ..
+                }
                 | Self::SlaveState { slave: u8::MAX, .. }
         );
         is_specific && (is_vague || slave_of(known).is_some() && slave_of(known) == slave_of(self))

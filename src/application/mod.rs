@@ -154,6 +154,7 @@ impl Application {
                         | Fault::BusConfiguration { .. }
                         | Fault::OtherProduct { .. }
                         | Fault::WrongSlave { .. }
+                        | Fault::SharedOutput { .. }
                 )
             ),
             _ => false,
@@ -176,6 +177,16 @@ impl Application {
         self.mode = Mode::BusConfiguring;
         self.fault = None;
         self.bus = None;
+    }
+
+    /// Reports that the repair waits for a slave that is still starting up: its time limit begins again. The supervisor
+    /// ends a wait that takes too long.
+    pub fn bus_waits(&mut self) {
+        if let Some(since_ms) = &mut self.recovering_since_ms
+            && self.now_ms.wrapping_sub(*since_ms) >= step::RESET_MS
+        {
+            *since_ms = self.now_ms.wrapping_sub(step::RESET_MS);
+        }
     }
 
     /// Takes a report of the bus's supervisor.

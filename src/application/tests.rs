@@ -367,6 +367,29 @@ fn a_recovery_that_fails_names_what_is_still_wrong() {
 }
 
 #[test]
+fn a_repair_that_waits_for_a_slow_slave_is_not_given_up_before_the_supervisor_ends_the_wait() {
+    let mut plant = Plant::bus_up();
+    plant.condition.silent = Some(3);
+    plant
+        .application
+        .bus(BusCondition::Failed(Fault::SlaveLost { slave: 3 }));
+    plant.run(10);
+    plant.order(Command::Acknowledge).unwrap();
+    for _ in 0..3 * RECOVERY_MAX_MS {
+        plant.application.bus_waits();
+        plant.run(1);
+        assert!(plant.application.is_recovering());
+    }
+    plant.run(RECOVERY_MAX_MS - 100);
+    assert!(
+        plant.application.is_recovering(),
+        "the limit begins with the end of the wait"
+    );
+    plant.run(200);
+    assert!(!plant.application.is_recovering(), "and then it ends");
+}
+
+#[test]
 fn a_motion_and_homing_in_one_millisecond_exclude_each_other() {
     let position = Position {
         x_mm: 0.0,

@@ -121,18 +121,16 @@ impl Config {
         io::check(&self.io)
     }
 
-    /// The values of the points that are named by their objects, in the order of the points; a point with a bit names
-    /// object 0, which no slave has.
+    /// The values of all points, in their order.
     fn wanted_values(&self) -> Vec<WantedValue, IO_MAX> {
         let wanted = |point: &IoPoint| {
-            let object = point.object.unwrap_or(ObjectName { index: 0, sub: 0 });
-            let bits = if point.object.is_some() { point.kind.bits() } else { 0 };
-            WantedValue::new(
-                point.slave,
-                point.direction.into(),
-                Object::new(object.index, object.sub),
-                bits,
-            )
+            let (direction, bits) = (point.direction.into(), point.kind.bits());
+            match (point.object, point.bit) {
+                (Some(object), _) => {
+                    WantedValue::new(point.slave, direction, Object::new(object.index, object.sub), bits)
+                }
+                (None, bit) => WantedValue::at_bit(point.slave, direction, bit.unwrap_or(u16::MAX), bits),
+            }
         };
         self.io.iter().map(wanted).collect()
     }

@@ -40,9 +40,14 @@ pub fn bus_condition(event: &BusEvent) -> Option<BusCondition> {
 }
 
 /// Place of the slave that an event of one slave concerns; a slave's failure is a fault unless it is a terminal that the
-/// drives do not need.
+/// drives do not need. `None` for an event that is a fault whatever the slave is: another slave than the configuration
+/// expects, or one that does not go with the configuration, has to be told.
 pub(super) const fn terminal_event(event: &BusEvent) -> Option<u8> {
     match event {
+        BusEvent::TerminalRefused {
+            error: BusError::SharedOutput { .. } | BusError::WrongSlave { .. },
+            ..
+        } => None,
         BusEvent::SlaveLost { position }
         | BusEvent::SlaveLeft { position, .. }
         | BusEvent::TerminalRefused { position, .. }
@@ -82,6 +87,7 @@ fn refusal(position: Option<u8>, step: Step, error: BusError) -> Fault {
             found: actual.into(),
             other: actual.checked_sub(STATION_BASE).and_then(|place| place.try_into().ok()),
         },
+        (Some(slave), _, BusError::SharedOutput { first, second }) => Fault::SharedOutput { slave, first, second },
         (_, _, BusError::NoLink { port }) => Fault::NoLink { port },
         (_, _, BusError::MemberCount { expected, actual }) => Fault::UnexpectedBus {
             found: actual,

@@ -252,6 +252,9 @@ impl<'a> Coordinator<'a> {
             BusEvent::Waiting { position, .. } => Some(position),
             _ => None,
         };
+        if self.waiting_for.is_some() {
+            self.application.bus_waits();
+        }
         match *event {
             BusEvent::Slave {
                 position,

@@ -2,6 +2,7 @@
 //!
 //! What the motors and the terminals' outputs do is taken from the cell.
 
+use crate::liveness::{acknowledge, come_back};
 use crate::robot::{Robot, path};
 use crate::{STILL_RAD_S, assert_described_standstill, assert_recovers_and_draws};
 use etherpen::application::{Fault, InputCause, IoRefusal, Mode, Refusal};
@@ -10,6 +11,7 @@ use etherpen::config::{Config, IoDirection, IoError, IoPoint, IoRole, IoType, Ob
 use etherpen::ethercat::cyclic::ExchangeKind;
 use etherpen::messages::{Command, ConfigRefusal, IoState};
 use host_tools::cell::{AlState, CellOptions, DriveState, Fault as CellFault, SlaveKind, parse_slaves};
+use host_tools::link::text;
 
 /// Bits of the EL1008: all contacts closed, start open.
 const CLOSED: u8 = 0b0000_0111;
@@ -228,6 +230,98 @@ fn a_lost_terminal_with_a_stop_stops_the_robot_and_comes_back_after_the_acknowle
             robot.run(300);
             robot.set_inputs(6, CLOSED);
             assert_recovers_and_draws(&mut robot);
+        }
+    }
+}
+
+#[test]
+fn a_cut_cable_names_the_slave_that_was_lost_before_the_inputs_that_depend_on_it() {
+    // The cable to the terminal itself, and the one to a drive before it.
+    for (slaves, lost) in [(5, 5), (1, 1)] {
+        for percent in [10, 100] {
+            let mut robot = BEHIND.fast(percent);
+            robot.inject(CellFault::Cut(slaves));
+            robot.brakes_after_ms();
+            robot.wait_for(Mode::Fault);
+            let fault = robot.fault().unwrap();
+            assert_eq!(fault, Fault::SlaveLost { slave: lost }, "{percent} %");
+            let told = text::fault_of(robot.status.as_ref().unwrap()).unwrap();
+            println!("{told}");
+            let first = told.find(&format!("slave {} ", lost + 1));
+            let then = told.find("with it io 1, 2, 3, 4, 5, 6, 7 and 8 are missing");
+            assert!(first.is_some() && first < then, "{told}");
+            robot.inject(CellFault::Join);
+            robot.run(300);
+            robot.set_inputs(6, CLOSED);
+            assert_recovers_and_draws(&mut robot);
+        }
+    }
+}
+
+/// An output of the EL2004 named by its object.
+fn output_by_object(chain: Chain, channel: u16) -> IoPoint {
+    IoPoint {
+        name: "hidden".try_into().unwrap(),
+        slave: chain.inputs + 1,
+        direction: IoDirection::Out,
+        object: Some(ObjectName {
+            index: 0x7000 + 0x10 * channel,
+            sub: 1,
+        }),
+        on_fault: OnFault::Hold,
+        ..IoPoint::default()
+    }
+}
+
+/// An output byte that covers all outputs of the EL2004.
+fn output_byte(chain: Chain) -> IoPoint {
+    IoPoint {
+        kind: IoType::U8,
+        bit: Some(0),
+        object: None,
+        ..output_by_object(chain, 0)
+    }
+}
+
+#[test]
+fn an_output_with_two_names_is_refused_with_both_and_stays_off() {
+    for chain in [BEHIND, BEFORE] {
+        // The valve by its bit, the lamp that the controller switches on, a byte over the light's object.
+        let shares = [
+            (vec![output_by_object(chain, 1)], [IO_VALVE, IO_BYTE + 1]),
+            (vec![output_by_object(chain, 0)], [IO_LAMP, IO_BYTE + 1]),
+            (vec![output_byte(chain)], [IO_LIGHT, IO_BYTE + 1]),
+        ];
+        for (further, names) in shares {
+            let mut config = chain.config();
+            let is_byte = further[0].kind == IoType::U8;
+            config.io.extend(further);
+            if is_byte {
+                for io in [IO_LAMP, IO_VALVE] {
+                    config.io[usize::from(io)].slave = chain.inputs;
+                    config.io[usize::from(io)].direction = IoDirection::In;
+                    config.io[usize::from(io)].role = IoRole::None;
+                }
+            }
+            let mut robot = chain.robot_with(&config);
+            robot.configure(&config);
+            for _ in 0..3_000 {
+                robot.run(1);
+                let outputs = robot.outputs(chain.inputs() + 1);
+                assert_eq!(outputs, 0, "nobody sets an output with two names: {names:?}");
+            }
+            assert_eq!(robot.mode(), Mode::Fault, "{names:?}");
+            let told = text::fault(&robot.fault().unwrap());
+            println!("{told}");
+            let both = names.map(|io| format!("io {}", io + 1));
+            assert!(both.iter().all(|name| told.contains(name)), "{told}");
+            let again = acknowledge(&mut robot).map(|fault| text::fault(&fault));
+            assert_eq!(again, Some(told), "it stays refused");
+            assert_eq!(robot.outputs(chain.inputs() + 1), 0);
+            robot.configure(&chain.config());
+            assert!(robot.configured.last().is_some_and(Result::is_ok));
+            robot.wait_for(Mode::DrivesOff);
+            assert_eq!(come_back(&mut robot, 0), 0);
         }
     }
 }

@@ -249,6 +249,13 @@ pub enum BusError {
         /// Time waited, ms.
         waited_ms: u32,
     },
+    /// Two values that the application wants share a bit of a slave's outputs.
+    SharedOutput {
+        /// The first, by its number in [`BusSetup::values`](super::event::BusSetup::values), from 0.
+        first: u8,
+        /// The second.
+        second: u8,
+    },
     /// A slave's process data are in too many sync managers.
     SyncManagers {
         /// Most sync managers allowed.

@@ -6,7 +6,7 @@ use super::clock::Settling;
 pub use super::configure::own_data::ChosenEntry;
 use super::driver::{Direction, SlaveFactory};
 use super::error::BusError;
-use super::plan::{ExchangeKind, VALUES_MAX};
+use super::plan::{ExchangeKind, VALUES_MAX, ValueBit};
 use super::port_state::PortState;
 use super::slave_set::SlaveSet;
 use super::state::AlReport;
@@ -14,7 +14,7 @@ use super::wire::coe::{Emergency, Object};
 use super::wire::sii::Identity;
 use heapless::Vec;
 
-/// A value of a terminal that the application wants, named by its object.
+/// A value of a terminal that the application wants, named by its object or by its first bit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WantedValue {
     /// Place in the chain of the slave, from 0.
@@ -26,6 +26,8 @@ pub struct WantedValue {
     /// Sub-index and index of the object as the slave's process data list it; apart they take less room.
     sub: u8,
     index: u16,
+    /// Its first bit, for a value that is not named by an object.
+    first: ValueBit,
 }
 
 impl WantedValue {
@@ -37,10 +39,28 @@ impl WantedValue {
             bits,
             sub: object.sub,
             index: object.index,
+            first: ValueBit::MISSING,
         }
     }
 
-    /// The object as the slave's process data list it.
+    /// A value of `bits` bits of the slave at a place in the chain, from 0, that begins at a bit of its inputs or outputs.
+    pub const fn at_bit(slave: u8, direction: Direction, bit: u16, bits: u8) -> Self {
+        Self {
+            slave,
+            direction,
+            bits,
+            sub: 0,
+            index: 0,
+            first: ValueBit::at(bit),
+        }
+    }
+
+    /// The first bit of a value that is named by it; [`ValueBit::MISSING`] for a value that is named by its object.
+    pub const fn first(&self) -> ValueBit {
+        self.first
+    }
+
+    /// The object as the slave's process data list it; index 0 for a value that is named by its first bit.
     pub const fn object(&self) -> Object {
         Object::new(self.index, self.sub)
     }
@@ -57,8 +77,9 @@ pub struct BusSetup<F: SlaveFactory> {
     /// are brought to OP, exchanged in each cycle, watched and repaired like members. One that fails keeps no member from
     /// operating.
     pub terminals: SlaveSet,
-    /// Values of the terminals that are looked for by their objects; the plan tells where they are, see
-    /// [`Exchange::value`](super::cyclic::Exchange::value).
+    /// Values of the terminals that the application wants; the plan tells where they are, see
+    /// [`Exchange::value`](super::cyclic::Exchange::value). A terminal of which two of them share an output bit is
+    /// refused with [`BusError::SharedOutput`].
     pub values: Vec<WantedValue, VALUES_MAX>,
     /// Process data that are assigned and mapped over CoE before the process data of a terminal are read; those of other
     /// sync managers stay as they are.

@@ -19,7 +19,7 @@ pub(super) const HEADERS_LEN_MAX: usize = 14 + 20 + 8 + 2;
 /// Bytes of the AL status register that are read each cycle.
 pub(super) const AL_STATUS_LEN: usize = 2;
 
-/// Most values that are looked for in the process data of slaves without a driver.
+/// Most values that the application wants of slaves without a driver.
 pub const VALUES_MAX: usize = 16;
 
 /// First bit of a wanted value in its slave's inputs or outputs, if the slave exchanges it.

@@ -184,7 +184,7 @@ pub fn view(status: &Status, silent_s: &[Option<u64>]) -> StatusView {
     StatusView {
         mode: mode_name(status.mode),
         text: text::doing(status),
-        fault: status.fault.as_ref().map(text::fault),
+        fault: text::fault_of(status),
         stopped: status.mode == Mode::Fault
             && matches!(
                 status.fault,

@@ -4,6 +4,7 @@ use super::Job;
 use super::error::{JobError, Phase};
 use super::task::{DrawTask, Motion, Ready, Task};
 use crate::link::measurement::Reader;
+use crate::link::text;
 use etherpen::application::Mode;
 use etherpen::link::message::PathAck;
 use etherpen::messages::Command;
@@ -58,6 +59,11 @@ impl Job {
                 self.lose(JobError::NoAnswer { waited_ms });
             }
             return;
+        }
+        let waits_for_bus = matches!(self.phase, Phase::Telling | Phase::Acknowledging | Phase::BusUp);
+        if waits_for_bus && self.status.as_ref().is_some_and(text::waits_for_slave) {
+            // The firmware ends this wait.
+            self.entered_ms = self.now_ms;
         }
         if self.faulted() {
             return;

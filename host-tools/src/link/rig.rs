@@ -72,6 +72,10 @@ pub(crate) struct Rig {
     pub(crate) referenced: bool,
     pub(crate) increments: [Option<u32>; 4],
     pub(crate) refuse_reference: Option<Refusal>,
+    /// How long an acknowledgement waits for a slave that starts up, ms.
+    pub(crate) slow_start_ms: u64,
+    /// Until when it waits for a slave.
+    waits_until_ms: u64,
     pub(crate) config: Option<u64>,
     pub(crate) commands: Vec<Command>,
     pub(crate) asked: Vec<ServiceRequest>,
@@ -109,6 +113,8 @@ impl Rig {
             referenced: false,
             increments: [Some(0); 4],
             refuse_reference: None,
+            slow_start_ms: 0,
+            waits_until_ms: 0,
             config: None,
             commands: Vec::new(),
             asked: Vec::new(),
@@ -261,8 +267,8 @@ impl Rig {
             }
             Command::Acknowledge => {
                 require(Mode::Fault, self.mode)?;
-                self.fault = None;
-                self.then = Some((now_ms + 40, Mode::DrivesOff));
+                self.waits_until_ms = now_ms + self.slow_start_ms;
+                self.then = Some((self.waits_until_ms + 40, Mode::DrivesOff));
             }
             Command::Stop => self.stop(Fault::EmergencyStop(etherpen::application::StopSource::Link), now_ms),
             _ => {}
@@ -279,6 +285,9 @@ impl Rig {
     fn run(&mut self, now_ms: u64) {
         if let Some((_, mode)) = self.then.take_if(|(at_ms, _)| now_ms >= *at_ms) {
             self.mode = mode;
+            if mode != Mode::Fault {
+                self.fault = None;
+            }
         }
         if self.mode == Mode::Drawing && self.endpoint.silence_ms(now_ms).is_some_and(|ms| ms > 500) {
             self.mode = Mode::Holding;
@@ -299,13 +308,14 @@ impl Rig {
         if now_ms >= self.status_due_ms || self.told != Some(self.mode) {
             self.told = Some(self.mode);
             self.status_due_ms = now_ms + 500;
+            let waits = now_ms < self.waits_until_ms;
             self.endpoint.status(Status {
                 mode: self.mode,
                 fault: self.fault,
-                recovering: false,
+                recovering: waits,
                 interlock: None,
                 port: PortState::Unknown,
-                waiting_for: None,
+                waiting_for: waits.then_some(2),
                 referenced: self.referenced,
                 reference_lost: false,
                 increments: self.increments,
@@ -372,7 +382,7 @@ pub(crate) fn serve(rig: &mut Rig, mut stream: &UnixStream) {
     }
 }
 
-fn four_slaves() -> heapless::Vec<etherpen::messages::SlaveStatus, 8> {
+fn four_slaves() -> heapless::Vec<etherpen::messages::SlaveStatus, { etherpen::messages::SLAVES_REPORTED }> {
     let slave = etherpen::messages::SlaveStatus {
         vendor: 2,
         product: 0x07d0_6014,

@@ -5,7 +5,7 @@
 pub mod bus;
 mod faults;
 
-use etherpen::application::{IoRefusal, Mode, Refusal};
+use etherpen::application::{Fault, IoRefusal, Mode, Refusal};
 use etherpen::board::{PreviousRun, RunEnd};
 use etherpen::config::{ConfigError, IO_NAME_MAX, IoError, IoRole};
 use etherpen::messages::{Command, ConfigRefusal, Status};
@@ -30,9 +30,35 @@ pub fn mode(mode: Mode) -> &'static str {
     }
 }
 
+/// Whether the bring-up or the repair of the bus waits for a slave that is still starting up. The firmware ends this wait.
+pub fn waits_for_slave(status: &Status) -> bool {
+    status.waiting_for.is_some() && (status.recovering || status.mode == Mode::BusConfiguring)
+}
+
+/// The latched fault of a status and what to try; behind a lost slave or cable, the inputs and outputs that are missing
+/// with it.
+pub fn fault_of(status: &Status) -> Option<String> {
+    let latched = status.fault.as_ref()?;
+    let told = fault(latched);
+    let takes_others = matches!(
+        latched,
+        Fault::SlaveLost { .. }
+            | Fault::SlaveState { .. }
+            | Fault::NoLink { .. }
+            | Fault::OutputsLost { axis: None, .. }
+    );
+    let missing = (1..).zip(&status.io).filter(|(_, state)| takes_others && !state.valid);
+    let missing: Vec<String> = missing.map(|(io, _): (usize, _)| io.to_string()).collect();
+    Some(match missing.as_slice() {
+        [] => told,
+        [io] => format!("{told}; with it io {io} is missing"),
+        [others @ .., last] => format!("{told}; with it io {} and {last} are missing", others.join(", ")),
+    })
+}
+
 /// The state of the firmware in a few words: its mode, and whether it is recovering from a fault.
 pub fn doing(status: &Status) -> Cow<'static, str> {
-    let waits = status.recovering || status.mode == Mode::BusConfiguring;
+    let waits = waits_for_slave(status);
     match (status.waiting_for.filter(|_| waits), status.recovering) {
         (Some(slave), _) => format!("waiting for slave {}, which is still starting up", one(slave)).into(),
         (None, true) => "the fault was acknowledged: bringing back the bus and the drives".into(),

@@ -5,6 +5,7 @@ use super::{Answer, Client, Failure, Machine, MachineOptions, Order, Snapshot};
 use crate::error::{ProgramError, code};
 use crate::link::ownership::Owner;
 use crate::link::port::{PortError, PortName};
+use crate::link::text;
 use etherpen::config::Config;
 use etherpen::messages::Command as Told;
 use std::sync::Arc;
@@ -26,6 +27,32 @@ pub(crate) struct OwnPort<'a> {
     pub(crate) config: &'a (dyn Fn() -> Result<Config, ProgramError> + Sync),
     /// Starts watching for an interrupt, which cancels the order.
     pub(crate) interrupted: &'a (dyn Fn() -> Result<Arc<AtomicBool>, ProgramError> + Sync),
+    /// Tells the operator what the machine is waiting for.
+    pub(crate) tell: &'a (dyn Fn(&str) + Sync),
+}
+
+/// Tells what a machine waits for while an order is carried out, each wait once.
+struct Progress<'a> {
+    tell: &'a (dyn Fn(&str) + Sync),
+    told: Option<u8>,
+}
+
+impl<'a> Progress<'a> {
+    fn new(tell: &'a (dyn Fn(&str) + Sync)) -> Self {
+        Self { tell, told: None }
+    }
+
+    /// Takes a state of the machine; whether it waits for a slave that is still starting up.
+    fn take(&mut self, snapshot: &Snapshot) -> bool {
+        let status = snapshot.status.as_ref().filter(|_| snapshot.lost.is_none());
+        let waiting = status.filter(|status| text::waits_for_slave(status));
+        let slave = waiting.and_then(|status| status.waiting_for);
+        if let Some(status) = waiting.filter(|_| slave != self.told) {
+            (self.tell)(&text::doing(status));
+        }
+        self.told = slave;
+        slave.is_some()
+    }
 }
 
 /// An order that a machine accepted, and the state that the order led to.
@@ -47,13 +74,17 @@ pub(crate) struct Effect {
 /// There is no connection, or the machine did not carry out the order.
 pub(crate) fn carry_out(port: &PortName, own: OwnPort, order: Order) -> Result<Effect, ProgramError> {
     let mut access = MachineAccess::find(port, own)?;
-    let order = access.carry_out(order, own)?;
-    let begun = Instant::now();
+    let mut progress = Progress::new(own.tell);
+    let order = access.carry_out(order, port, own, &mut progress)?;
+    let mut begun = Instant::now();
     let mut ending: Option<Ending> = None;
     loop {
         match access.state() {
             Ok(snapshot) => {
                 let ending = ending.get_or_insert_with(|| Ending::new(order.clone(), &snapshot));
+                if progress.take(&snapshot) {
+                    begun = Instant::now();
+                }
                 if ending.is_reached(&snapshot) || begun.elapsed() > END_MAX {
                     return Ok(Effect {
                         reached: ending.is_reached(&snapshot),
@@ -125,13 +156,19 @@ impl MachineAccess {
     }
 
     /// Sends an order and waits for its answer; an interrupt cancels it. Returns the order that was carried out.
-    fn carry_out(&mut self, order: Order, own: OwnPort) -> Result<Order, ProgramError> {
+    fn carry_out(
+        &mut self,
+        order: Order,
+        port: &PortName,
+        own: OwnPort,
+        progress: &mut Progress,
+    ) -> Result<Order, ProgramError> {
         let (order, answer) = match self {
-            Self::Through(client) => (order.clone(), client.carry_out(order)),
+            Self::Through(client) => (order.clone(), wait_through(client, order, port, progress)),
             Self::Own(machine) => {
                 let order = without_drawing(order)?;
                 let interrupted = (own.interrupted)()?;
-                (order.clone(), wait(machine, order, &interrupted))
+                (order.clone(), wait(machine, order, &interrupted, progress))
             }
         };
         answer.map(|_| order).map_err(ProgramError::from)
@@ -178,8 +215,34 @@ fn without_drawing(order: Order) -> Result<Order, ProgramError> {
     })
 }
 
+/// Sends an order to the program that has the port and waits for its answer. A second connection shows meanwhile what
+/// the machine waits for.
+fn wait_through(client: &mut Client, order: Order, port: &PortName, progress: &mut Progress) -> Answer {
+    // Only these bring slaves up; every other order ends soon, or has its own signs of life.
+    if !matches!(order, Order::Settle(Told::Acknowledge) | Order::Prepare(_)) {
+        return client.carry_out(order);
+    }
+    std::thread::scope(|scope| {
+        let answer = scope.spawn(|| client.carry_out(order));
+        let mut watching = None;
+        while !answer.is_finished() {
+            std::thread::sleep(LOOK);
+            let watch: Option<&mut Client> = match &mut watching {
+                Some(watch) => Some(watch),
+                none => Client::find(port).map(|found| none.insert(found)),
+            };
+            match watch.map(Client::snapshot) {
+                Some(Ok(snapshot)) => _ = progress.take(&snapshot),
+                Some(Err(_)) => watching = None,
+                None => {}
+            }
+        }
+        answer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    })
+}
+
 /// Sends an order and waits for its answer; an interrupt cancels it.
-fn wait(machine: &Machine, order: Order, interrupted: &AtomicBool) -> Answer {
+fn wait(machine: &Machine, order: Order, interrupted: &AtomicBool, progress: &mut Progress) -> Answer {
     let answer = machine.order(order);
     let mut cancelled = false;
     loop {
@@ -193,6 +256,7 @@ fn wait(machine: &Machine, order: Order, interrupted: &AtomicBool) -> Answer {
                 });
             }
         }
+        progress.take(&machine.snapshot());
         if interrupted.load(Ordering::Relaxed) && !cancelled {
             cancelled = true;
             // Its effect is the end of the other order.

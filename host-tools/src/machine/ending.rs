@@ -90,14 +90,15 @@ pub(crate) fn state_text(snapshot: &Snapshot) -> String {
     let Some(status) = &snapshot.status else {
         return "the machine has not reported its state".to_owned();
     };
-    match (status.mode, status.fault) {
+    match (status.mode, text::fault_of(status)) {
+        (Mode::Fault, Some(_)) if text::waits_for_slave(status) => text::doing(status).into_owned(),
         (Mode::Fault, Some(fault)) => {
             let standing = match &snapshot.sample {
                 Some(sample) if stands(sample) => "standing still, ",
                 Some(_) => "an axis still moves, ",
                 None => "",
             };
-            format!("{standing}fault latched: {}", text::fault(&fault))
+            format!("{standing}fault latched: {fault}")
         }
         (Mode::Idle | Mode::DrivesOff, _) if status.override_percent != 100 => {
             format!(

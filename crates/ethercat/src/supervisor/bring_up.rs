@@ -10,7 +10,7 @@ use super::super::coe::{DEVICE_TYPE, ObjectDictionary};
 use super::super::configure::discovery::STATION_BASE;
 use super::super::configure::{PreOperational, discovery, information, own_data};
 use super::super::cyclic::{ExchangeKind, ValueBit};
-use super::super::driver::{ProcessData, SlaveFactory, is_asked_for_device_type};
+use super::super::driver::{Direction, ProcessData, SlaveFactory, is_asked_for_device_type};
 use super::super::error::BusError;
 use super::super::event::{BusEvent, Step, WantedValue};
 use super::super::mailbox::Mailbox;
@@ -350,13 +350,10 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         };
         let place = slave.position as u8;
         let here = |wanted: &WantedValue| wanted.slave == place;
-        for (_, value) in setup
-            .values
-            .iter()
-            .zip(values.iter_mut())
-            .filter(|(wanted, _)| here(wanted))
-        {
-            *value = ValueBit::MISSING;
+        for (wanted, value) in setup.values.iter().zip(values.iter_mut()) {
+            if here(wanted) {
+                *value = wanted.first();
+            }
         }
         let station = slave.station();
         let has_objects = slave.fixed.protocols & PROTOCOL_COE != 0 && slave.fixed.mailbox_out.length > 0;
@@ -375,7 +372,13 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 }
             }
         });
-        slave.own_data = Some(data.await?);
+        let data = data.await?;
+        if let Some((first, second)) = shared_output(&setup.values, values, place) {
+            // Neither of them may set the output.
+            slave.own_data = None;
+            return Err(BusError::SharedOutput { first, second });
+        }
+        slave.own_data = Some(data);
         Ok(())
     }
 
@@ -480,6 +483,24 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         }
         self.send_plan().await;
     }
+}
+
+/// The first two wanted values that share a bit of the outputs of the slave at a place; `bits` tells where each begins.
+fn shared_output(wanted: &[WantedValue], bits: &[ValueBit], place: u8) -> Option<(u8, u8)> {
+    let outputs = || {
+        (0_u8..)
+            .zip(wanted.iter().zip(bits))
+            .filter_map(|(number, (wanted, bit))| {
+                let first = u32::from(bit.bit()?);
+                let is_here = (wanted.slave, wanted.direction) == (place, Direction::Outputs);
+                is_here.then_some((number, first..first + u32::from(wanted.bits)))
+            })
+    };
+    outputs().find_map(|(second, bits)| {
+        let mut before = outputs().take_while(|(first, _)| *first < second);
+        let shares = before.find(|(_, other)| other.start < bits.end && bits.start < other.end);
+        shares.map(|(first, _)| (first, second))
+    })
 }
 
 /// Asks a slave with an unknown product for its device type, and leaves the slave in INIT; `None` if there is no driver

@@ -207,6 +207,7 @@ impl Arguments {
         work(OwnPort {
             config: &|| self.config.load(),
             interrupted: &ended_by_a_signal,
+            tell: &|waiting| eprintln!("{waiting}"),
         })
     }
 }
@@ -282,7 +283,7 @@ impl Done {
             reached: effect.reached,
             state: state_text(&effect.snapshot),
             mode: status.map(|status| status.mode),
-            fault: status.and_then(|status| status.fault).map(|fault| text::fault(&fault)),
+            fault: status.and_then(text::fault_of),
             referenced: status.map(|status| status.referenced),
             override_percent: status.map(|status| status.override_percent),
             owner: effect.owner,

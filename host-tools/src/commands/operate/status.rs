@@ -98,7 +98,7 @@ fn answer<'a>(config: &Config, snapshot: &'a Snapshot, owner: Option<&'a Owner>)
         mode: status.map(|status| status.mode),
         mode_text: status.map(text::doing),
         recovering: status.map(|status| status.recovering),
-        fault: status.and_then(|status| status.fault).map(|fault| text::fault(&fault)),
+        fault: status.and_then(text::fault_of),
         referenced,
         override_percent: status.map(|status| status.override_percent),
         config: status

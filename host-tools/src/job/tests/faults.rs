@@ -31,6 +31,27 @@ fn an_earlier_fault_is_acknowledged_on_request() {
 }
 
 #[test]
+fn an_acknowledgement_waits_as_long_as_the_firmware_waits_for_a_slave_that_starts_up() {
+    let drawing = || {
+        let options = JobOptions {
+            acknowledge: true,
+            ..JobOptions::default()
+        };
+        Job::draw(Config::default(), path(10), options)
+    };
+    for mut job in [with_task(Task::Tell(Command::Acknowledge), 1), drawing()] {
+        // A drive takes 20 s to each state.
+        let mut rig = Rig::new(1, 0);
+        rig.slow_start_ms = 40_000;
+        (rig.mode, rig.fault) = (Mode::Fault, Some(Fault::SlaveLost { slave: 2 }));
+        run(&mut rig, &mut job, 60_000, |_, _, _| {});
+        assert_eq!(job.outcome(), Some(&Ok(())));
+        let acknowledgements = rig.commands.iter().filter(|command| **command == Command::Acknowledge);
+        assert_eq!(acknowledgements.count(), 1);
+    }
+}
+
+#[test]
 fn a_fault_while_drawing_is_told_at_once_and_ends_the_job_when_the_robot_stands() {
     let (mut rig, mut job) = (Rig::new(1, 0), job(1_000));
     rig.fault_at_vertex = Some(500);

@@ -195,6 +195,11 @@ pub fn bus_error(error: &BusError) -> String {
         BusError::ProcessLength { expected, actual } => {
             format!("the slave has {actual} bytes of process data in one direction, more than {expected}; assign less")
         }
+        BusError::SharedOutput { first, second } => format!(
+            "io {} and io {} set the same output; give it one name in [[io]] of etherpen.toml",
+            u16::from(first) + 1,
+            u16::from(second) + 1
+        ),
         BusError::SyncManagers { expected, actual } => {
             format!("the slave's process data are in {actual} sync managers, more than {expected}; assign less")
         }

@@ -185,6 +185,12 @@ pub fn fault(fault: &Fault) -> String {
                 ),
             }
         }
+        Fault::SharedOutput { slave, first, second } => format!(
+            "io {} and io {} set the same output of slave {}; give it one name in [[io]] of etherpen.toml",
+            one(first),
+            one(second),
+            one(slave)
+        ),
         Fault::UnexpectedBus { found, expected } => format!(
             "{found} drives are on the bus, {expected} were expected; check supply, cables and their order (etherpen bus \
              scan)"
