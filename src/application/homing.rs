@@ -34,6 +34,8 @@ pub fn positions_arrive(increments: &[Option<i64>; AXES]) -> Result<(), Refusal>
 #[derive(Clone, Copy, Debug)]
 pub struct HomingCheck {
     axes: [Axis; AXES],
+    /// Number of axes that have drives: the first ones.
+    used: usize,
     kinematics: Option<Kinematics>,
 }
 
@@ -42,6 +44,7 @@ impl HomingCheck {
     pub fn new(config: &Config) -> Self {
         Self {
             axes: config.axes,
+            used: config.bus.drives.into(),
             kinematics: Kinematics::new(&config.geometry).ok(),
         }
     }
@@ -71,7 +74,8 @@ impl HomingCheck {
             return Err(Refusal::NotFinite);
         }
         positions_arrive(increments)?;
-        for (number, ((axis, increments), wanted_rad)) in (0u8..).zip(self.axes.iter().zip(increments).zip(pose.0)) {
+        let axes = self.axes.iter().zip(increments).zip(pose.0).take(self.used);
+        for (number, ((axis, increments), wanted_rad)) in (0u8..).zip(axes) {
             let Some(increments) = increments else { continue };
             let difference_rad = resolver_angle_rad(axis, *increments, Some(wanted_rad)) - wanted_rad;
             if difference_rad.abs() > POSE_DIFFERENCE_MAX_RAD {

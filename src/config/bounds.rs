@@ -3,7 +3,7 @@
 //! A bound that depends on another value expresses a relation between the two. A refusal names the value by its row.
 
 use super::{Axis, Bus, Config, Transport};
-use crate::robots::AXES;
+use crate::robots::{AXES, MAIN_AXES};
 use etherpen_motion::Settings;
 use etherpen_motion::settings::{Bound, Violation, bound, first_violation};
 use serde::{Deserialize, Serialize};
@@ -199,7 +199,7 @@ impl Bus {
     fn bounds(&self) -> [Bound; BUS_BOUNDS] {
         let bus = self;
         [
-            bound("bus.drives", f64::from(bus.drives), AXES as f64, AXES as f64),
+            bound("bus.drives", f64::from(bus.drives), MAIN_AXES as f64, AXES as f64),
             bound("bus.blind_max_ms", f64::from(bus.blind_max_ms), 1.0, BLIND_MAX_MS),
             bound("bus.late_max_per_s", f64::from(bus.late_max_per_s), 0.0, 1_000.0),
             bound("bus.host_silence_ms", f64::from(bus.host_silence_ms), 100.0, 10_000.0),

@@ -356,29 +356,37 @@ impl AxisState {
     }
 }
 
-/// The robot's axes.
+/// The robot's axes: the first `used` of them have drives. One that the machine lacks is in the state of the first.
 #[derive(Clone, Debug)]
 pub struct RobotAxes {
     axes: [AxisState; AXES],
+    used: usize,
     /// Whether the axes still have to take over their drives, whatever the group reports.
     is_new: bool,
 }
 
 impl RobotAxes {
     /// A robot with the scaling of the configuration; not homed.
-    pub fn new(axes: &[Axis; AXES]) -> Self {
+    pub fn new(axes: &[Axis; AXES], used: usize) -> Self {
         Self {
             axes: axes.each_ref().map(AxisState::new),
+            used,
             is_new: true,
         }
     }
 
-    /// Replaces the axes; none of the new ones is homed.
-    pub fn configure(&mut self, axes: &[Axis; AXES]) {
+    /// Replaces the axes, of which the first `used` have drives; none of the new ones is homed.
+    pub fn configure(&mut self, axes: &[Axis; AXES], used: usize) {
         for (state, axis) in self.axes.iter_mut().zip(axes) {
             *state = AxisState::new(axis);
         }
+        self.used = used;
         self.is_new = true;
+    }
+
+    /// The axes that have drives.
+    fn used(&self) -> impl Iterator<Item = &AxisState> {
+        self.axes.iter().take(self.used)
     }
 
     /// Takes this cycle's inputs. Call it exactly once a cycle, even if nothing arrived.
@@ -427,16 +435,15 @@ impl RobotAxes {
     /// Whether all drives were in operation when they last reported.
     #[inline]
     pub fn is_in_operation(&self) -> bool {
-        self.axes
-            .iter()
+        self.used()
             .all(|axis| axis.drive.state() == DriveState::OperationEnabled)
     }
 
-    /// State of an axis's drive when it last reported.
+    /// State of an axis's drive when it last reported; that of the first axis for one without a drive.
     #[inline]
     pub fn state(&self, axis: usize) -> DriveState {
         self.axes
-            .get(axis)
+            .get(if axis < self.used { axis } else { 0 })
             .map_or(DriveState::NotReadyToSwitchOn, |axis| axis.drive.state())
     }
 
@@ -461,7 +468,7 @@ impl RobotAxes {
 
     /// Why the present positions do not give a pose.
     fn why_not_homed(&self) -> Option<HomingError> {
-        (0..).zip(&self.axes).find_map(|(number, axis)| match axis {
+        (0..).zip(self.used()).find_map(|(number, axis)| match axis {
             _ if !axis.valid => Some(HomingError::NoPosition { axis: number }),
             _ if axis.is_moving() => Some(HomingError::Moving { axis: number }),
             _ => None,
@@ -470,7 +477,7 @@ impl RobotAxes {
 
     /// Whether all axes are homed.
     pub fn is_homed(&self) -> bool {
-        self.axes.iter().all(|axis| axis.zero.is_some())
+        self.used().all(|axis| axis.zero.is_some())
     }
 
     /// Which axes were homed and no longer are; cleared by [`Self::home`].

@@ -34,6 +34,7 @@ use crate::ethercat::frame_port::{FramePort, Sending};
 use crate::ethercat::queue;
 use crate::network::NetworkEnd;
 pub use crate::robot_bus::PERIOD_NS;
+use crate::motion::Setpoint;
 use crate::robot_bus::RobotGroup;
 use crate::robots::AXES;
 use embassy_net_driver::Driver;
@@ -66,6 +67,8 @@ pub struct Sampler<'a, G = RobotGroup<'a>> {
     has_path: bool,
     robot: RobotAxes,
     axes: [Axis; AXES],
+    /// Number of axes that have drives: the first ones.
+    used: usize,
     bus: Bus,
     controllers: [PositionController; AXES],
     velocity_controllers: [VelocityController; AXES],
@@ -119,8 +122,9 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             group,
             network,
             has_path: false,
-            robot: RobotAxes::new(&axes),
+            robot: RobotAxes::new(&axes, AXES),
             axes,
+            used: AXES,
             bus: Bus::default(),
             controllers: axes.map(|axis| PositionController::new(&axis)),
             velocity_controllers: axes.map(|axis| VelocityController::new(&axis)),
@@ -342,13 +346,15 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         while let Some(command) = queue::take(&mut self.commands) {
             match command {
                 SamplerCommand::Configure { axes, bus } => {
-                    self.robot.configure(&axes);
+                    self.used = usize::from(bus.drives).clamp(1, AXES);
+                    self.robot.configure(&axes, self.used);
+                    self.leave_out_absent();
                     // One at a time: every move of an array would need its size on the stack again.
                     for (index, axis) in axes.iter().enumerate() {
                         self.controllers[index] = PositionController::new(axis);
                         self.velocity_controllers[index] = VelocityController::new(axis);
                     }
-                    self.has_torque_axis = axes.iter().any(|axis| axis.mode == AxisMode::Torque);
+                    self.has_torque_axis = axes.iter().take(self.used).any(|axis| axis.mode == AxisMode::Torque);
                     (self.axes, self.bus) = (axes, bus);
                     self.same_zero = [false; AXES];
                 }
@@ -402,6 +408,9 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
     /// Takes an axis's input; a missing one is predicted from the last velocity. Returns whether the axis is at rest.
     #[inline(always)]
     fn measure_axis<const AXIS: usize>(&mut self) -> bool {
+        if AXIS >= self.used {
+            return self.follow_absent(AXIS);
+        }
         let reading = self.robot.read_axis::<AXIS>(&self.group);
         let now = &mut self.now;
         let before_rad = now.measured_rad[AXIS];
@@ -424,6 +433,31 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         }
         // Silence does not mean rest: the last measured speed decides.
         now.measured_rad_s[AXIS].abs() < STANDSTILL_RAD_S
+    }
+
+    /// Takes an axis that the machine lacks: it is where the last setpoint was, and its drive is in the state of the first
+    /// axis's. Returns true: it needs no rest.
+    #[cold]
+    fn follow_absent(&mut self, axis: usize) -> bool {
+        let now = &mut self.now;
+        let at = (now.measured_rad.get_mut(axis), now.setpoint.position_rad.get(axis));
+        if let (Some(measured_rad), Some(setpoint_rad)) = at {
+            *measured_rad = *setpoint_rad;
+        }
+        let [first, ..] = now.status_word;
+        now.status_word.iter_mut().skip(axis).for_each(|word| *word = first);
+        true
+    }
+
+    /// Forgets what was measured; the axes that the machine lacks are at 0, valid and homed.
+    #[cold]
+    fn leave_out_absent(&mut self) {
+        let now = &mut self.now;
+        now.setpoint = Setpoint::default();
+        now.homed = core::array::from_fn(|axis| axis >= self.used);
+        now.valid = now.homed;
+        (now.measured_rad_s, now.increments) = ([0.0; AXES], [0; AXES]);
+        self.home_lost = [false; AXES];
     }
 
     /// Advances to this millisecond's setpoint. Returns whether one is followed, and whether one was missing.
@@ -465,6 +499,9 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
     /// The velocity command of an axis, rad/s; `around` are the velocities around the first axis's lead.
     #[inline(always)]
     fn control_axis<const AXIS: usize>(&mut self, around: &[[f64; AXES]; 2]) -> f64 {
+        if AXIS >= self.used {
+            return 0.0;
+        }
         let (setpoint_rad, measured_rad) = (self.now.setpoint.position_rad[AXIS], self.now.measured_rad[AXIS]);
         let whole = self.controllers[0].lead().whole;
         let controller = &mut self.controllers[AXIS];
@@ -534,7 +571,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             spares_terminals: self.spares_terminals,
         };
         if following {
-            for (axis, error) in seen.following_error_rad.iter_mut().enumerate() {
+            for (axis, error) in seen.following_error_rad.iter_mut().enumerate().take(self.used) {
                 *error = self.controllers[axis].setpoint_at_age() - self.now.measured_rad[axis];
             }
         }

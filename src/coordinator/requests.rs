@@ -36,6 +36,9 @@ impl Coordinator<'_> {
         self.homing_check = Some(HomingCheck::new(config));
         self.config_hash = Some(hash);
         self.slaves.clear();
+        // An axis without a drive has no place.
+        let used = usize::from(config.bus.drives);
+        self.places = core::array::from_fn(|axis| if axis < used { axis as u8 } else { u8::MAX });
         self.application.configured(config.bus.host_silence_ms);
         self.tell_sampler(SamplerCommand::Configure {
             axes: config.axes,

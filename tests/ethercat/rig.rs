@@ -88,7 +88,7 @@ pub(crate) fn idle_rig_of(options: CellOptions) -> Rig<'static> {
         services: application.services,
         answers: application.answers,
         setup,
-        robot: RobotAxes::new(&config.axes),
+        robot: RobotAxes::new(&config.axes, AXES),
         inputs: NO_INPUTS,
         command: AxisCommand::default(),
         output_fault: None,

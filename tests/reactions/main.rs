@@ -3,6 +3,7 @@
 //! Everything runs in virtual time. The cell gives the true state of the drives; the operator knows only what the
 //! firmware reports over the link.
 
+mod axes;
 mod board;
 mod bursts;
 mod commands;

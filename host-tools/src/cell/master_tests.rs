@@ -42,7 +42,7 @@ fn run(script: &str, mut test: impl FnMut(&mut Millisecond) -> bool) {
     let mut supervisor = Supervisor::new(supervisor_end);
     let mut supervision = pin!(supervisor.run());
     let mut context = Context::from_waker(Waker::noop());
-    let mut robot = RobotAxes::new(&config.axes);
+    let mut robot = RobotAxes::new(&config.axes, AXES);
     let mut commands = [AxisCommand::default(); AXES];
     let setup = config.bus_setup();
     let mut orders = vec![BusCommand::Start(setup)];

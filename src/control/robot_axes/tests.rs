@@ -47,6 +47,7 @@ fn robot(positions: [i32; AXES]) -> RobotAxes {
             sync_increments: 1000,
             ..Axis::default()
         }; AXES],
+        AXES,
     );
     for (axis, position) in robot.axes.iter_mut().zip(positions) {
         axis.step(at(position), 0);
@@ -395,7 +396,7 @@ fn a_motor_that_turns_the_other_way_is_turned_back() {
 
 #[test]
 fn the_axes_of_a_group_in_memory_are_read_and_commanded_as_on_a_bus() {
-    let mut robot = RobotAxes::new(&[Axis::default(); AXES]);
+    let mut robot = RobotAxes::new(&[Axis::default(); AXES], AXES);
     let velocity = drive(&ax2000::AX2000, AxisMode::Velocity);
     let mut group = MemoryGroup::new([Some(velocity); AXES]);
     group.inputs = [at(7); AXES];
@@ -419,7 +420,7 @@ fn the_axes_of_a_group_in_memory_are_read_and_commanded_as_on_a_bus() {
 
 #[test]
 fn axes_that_are_configured_again_command_the_drives_that_the_group_already_has() {
-    let mut robot = RobotAxes::new(&[Axis::default(); AXES]);
+    let mut robot = RobotAxes::new(&[Axis::default(); AXES], AXES);
     let velocity = drive(&ax2000::AX2000, AxisMode::Velocity);
     let mut group = MemoryGroup::new([Some(velocity); AXES]);
     group.inputs = [at(7); AXES];
