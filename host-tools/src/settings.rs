@@ -6,11 +6,14 @@
 //! Invariant: the written file is a valid configuration within its bounds; the file is replaced as a whole or not at
 //! all.
 
+pub mod reading;
+
 use crate::error::{ProgramError, code};
 use crate::link::text;
 use etherpen::config::{Config, ConfigError, IoError};
 use etherpen::control::robot_axes::resolver_angle_rad;
 use etherpen::robots::AXES;
+use reading::ReadingError;
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
@@ -42,7 +45,7 @@ pub enum SettingsError {
         field: &'static str,
     },
     /// The result would not be a valid configuration.
-    Configuration(toml::de::Error),
+    Configuration(ReadingError),
     /// A value would be outside its bounds.
     Bounds(ConfigError),
     /// A named input or output could not be used.
@@ -100,7 +103,7 @@ pub fn load(path: Option<&Path>) -> Result<Config, ProgramError> {
             format!("the configuration {shown} cannot be read: {cause}"),
         )
     })?;
-    let config: Config = toml::from_str(&text).map_err(|cause| {
+    let config = reading::configuration(&text).map_err(|cause| {
         ProgramError::new(
             code::USAGE,
             format!("the configuration {shown} is wrong:\n{}", shortened(&cause)),
@@ -222,7 +225,7 @@ impl Settings {
     /// # Errors
     /// [`SettingsError::Configuration`] and [`SettingsError::Bounds`].
     pub fn config(&self) -> Result<Config, SettingsError> {
-        let config: Config = toml::from_str(&self.document.to_string()).map_err(SettingsError::Configuration)?;
+        let config = reading::configuration(&self.document.to_string()).map_err(SettingsError::Configuration)?;
         config.check().map_err(SettingsError::Bounds)?;
         config.check_io().map_err(SettingsError::Io)?;
         Ok(config)

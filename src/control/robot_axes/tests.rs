@@ -425,7 +425,7 @@ fn axes_that_are_configured_again_command_the_drives_that_the_group_already_has(
     let mut group = MemoryGroup::new([Some(velocity); AXES]);
     group.inputs = [at(7); AXES];
     for demand_rad_s in [0.5, -0.5] {
-        robot.configure(&[Axis::default(); AXES]);
+        robot.configure(&[Axis::default(); AXES], AXES);
         group.trigger_input();
         group.arrived(&MemoryGroup::<AXES>::ARRIVED);
         robot.read(&mut group);

@@ -25,6 +25,10 @@ pub const AXES: usize = 4;
 /// Number of main axes: the axes that place the tool. They are the first of the axes.
 pub const MAIN_AXES: usize = 3;
 
+/// Travel of a linear axis for a radian of its joint, mm: the joint of a linear axis is a wheel of this radius that rolls
+/// along it. With it the angles, speeds and loads of linear and rotary joints have the same order of magnitude.
+pub const LINEAR_MM_PER_RAD: f64 = 100.0;
+
 /// Smallest [`Conditioning::ratio`] at which inverse kinematics has a solution: below it the derivatives are undefined.
 pub const RATIO_SINGULAR: f64 = 1.0e-6;
 
