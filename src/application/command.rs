@@ -76,7 +76,7 @@ pub enum IoRefusal {
     /// It is an input.
     IsInput,
     /// The controller itself sets this output.
-    IsLamp,
+    IsOwn,
     /// The value has more bits than the output.
     Range {
         /// Bits of the output.

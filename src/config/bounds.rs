@@ -2,6 +2,7 @@
 //!
 //! A bound that depends on another value expresses a relation between the two. A refusal names the value by its row.
 
+use super::pen_lift::PEN_BOUNDS;
 use super::{Axis, Bus, Config, Transport};
 use crate::robots::{AXES, MAIN_AXES};
 use etherpen_motion::Settings;
@@ -170,10 +171,12 @@ impl Axis {
 impl Config {
     /// Hard bounds of every value that does not belong to an axis. A bound that depends on another value expresses a
     /// relation.
-    fn scalars(&self) -> [Bound; Settings::BOUNDS + BUS_BOUNDS] {
-        let mut rows = [bound("", 0.0, 0.0, 0.0); Settings::BOUNDS + BUS_BOUNDS];
-        let (motion, bus) = rows.split_at_mut(Settings::BOUNDS);
+    fn scalars(&self) -> [Bound; Settings::BOUNDS + PEN_BOUNDS + BUS_BOUNDS] {
+        let mut rows = [bound("", 0.0, 0.0, 0.0); Settings::BOUNDS + PEN_BOUNDS + BUS_BOUNDS];
+        let (motion, others) = rows.split_at_mut(Settings::BOUNDS);
+        let (pen, bus) = others.split_at_mut(PEN_BOUNDS);
         motion.copy_from_slice(&self.motion_settings().bounds());
+        pen.copy_from_slice(&self.pen.bounds());
         bus.copy_from_slice(&self.bus.bounds());
         rows
     }

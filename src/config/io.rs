@@ -128,12 +128,25 @@ pub enum IoRole {
     Start,
     /// Output that shows the operating mode.
     Lamp,
+    /// Output that lowers the pen: on from the start of lowering to the start of lifting, off at every stop. A terminal that
+    /// fails is a fault.
+    Pen,
 }
 
 impl IoRole {
     /// Whether the drives need this input to have power.
     pub const fn stops(self) -> bool {
         matches!(self, Self::EmergencyStop | Self::Door)
+    }
+
+    /// Whether the controller sets this output by itself.
+    pub const fn is_own(self) -> bool {
+        matches!(self, Self::Lamp | Self::Pen)
+    }
+
+    /// Whether the failure of the point's terminal is a fault.
+    pub const fn is_needed(self) -> bool {
+        self.stops() || matches!(self, Self::Pen)
     }
 
     /// Name as used in `etherpen.toml`.
@@ -145,6 +158,7 @@ impl IoRole {
             Self::Hold => "hold",
             Self::Start => "start",
             Self::Lamp => "lamp",
+            Self::Pen => "pen",
         }
     }
 }
@@ -321,7 +335,7 @@ impl IoPoint {
         }
         let serves = match self.role {
             IoRole::None => true,
-            IoRole::Lamp => self.direction == IoDirection::Out && self.kind == IoType::Bool,
+            IoRole::Lamp | IoRole::Pen => self.direction == IoDirection::Out && self.kind == IoType::Bool,
             _ => self.direction == IoDirection::In && self.kind == IoType::Bool,
         };
         match serves {

@@ -8,6 +8,7 @@ mod axis;
 mod bounds;
 mod bus;
 mod io;
+mod pen_lift;
 
 pub use axis::{Axis, AxisMode};
 pub use bounds::{ConfigError, Field, QUICK_STOP_MAX_MS};
@@ -16,6 +17,8 @@ pub use etherpen_motion::settings::{Geometry, MotionLimits, Orientation, Paper, 
 pub use io::{
     IO_MAX, IO_NAME_MAX, IoDirection, IoError, IoName, IoPoint, IoPoints, IoRole, IoType, ObjectName, OnFault,
 };
+
+pub use pen_lift::{PenLift, PenLiftKind};
 
 use crate::ethercat::clock::Settling;
 use crate::ethercat::event::WantedValue;
@@ -37,6 +40,8 @@ pub struct Config {
     pub work_area: WorkCylinder,
     /// Paper and pen.
     pub paper: Paper,
+    /// How the pen is lowered and lifted.
+    pub pen: PenLift,
     /// Limits of motion.
     pub motion: MotionLimits,
     /// The axes: the main axes, then the fourth axis.
@@ -68,6 +73,7 @@ impl Default for Config {
             geometry: Geometry::default(),
             work_area: WorkCylinder::default(),
             paper: Paper::default(),
+            pen: PenLift::default(),
             motion: MotionLimits::default(),
             axes: [main, main, main, fourth],
             bus: Bus::default(),
@@ -87,7 +93,7 @@ impl Config {
             geometry: self.geometry,
             work_area: self.work_area,
             paper: self.paper,
-            motion: self.motion,
+            motion: self.pen.within(&self.motion, &self.paper),
             dead_man_ms: self.bus.dead_man_ms,
         }
     }

@@ -10,6 +10,7 @@ use crate::application::{Fault, Power};
 use crate::board::Interlock;
 use crate::config::{Axis, Bus};
 use crate::control::io::{IoPlaces, IoReport};
+use crate::control::pen_switch::PenSwitch;
 use crate::ethercat::cyclic::BusCounters;
 use crate::motion::Setpoint;
 use crate::robots::{AXES, JointAngles};
@@ -49,8 +50,8 @@ pub enum SamplerCommand {
     },
     /// Clear the latched fault.
     ClearFault,
-    /// Use these inputs and outputs of terminals.
-    ConfigureIo(IoPlaces),
+    /// Use these inputs and outputs of terminals, and these heights of the pen.
+    ConfigureIo(IoPlaces, PenSwitch),
     /// Switch off the outputs that do not keep their values at a fault, because of a fault that the critical tasks do not
     /// detect.
     SwitchOutputsOff,

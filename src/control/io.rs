@@ -182,7 +182,7 @@ impl Io {
     #[inline]
     pub fn spares_terminals(&self) -> bool {
         let spares = |point: &IoPlace| {
-            let here = |other: &IoPlace| other.slave == point.slave && other.role.stops();
+            let here = |other: &IoPlace| other.slave == point.slave && other.role.is_needed();
             !self.points.iter().any(here)
         };
         self.points.iter().any(spares)
@@ -278,22 +278,25 @@ impl Io {
         }
     }
 
-    /// Writes the outputs; with `has_fault`, those that do not keep their values become 0.
+    /// Writes the outputs; with `has_fault`, those that do not keep their values become 0. `pen` is the value of the pen's
+    /// output.
     #[inline]
-    pub fn write(&mut self, group: &mut impl IoGroup, has_fault: bool) {
+    pub fn write(&mut self, group: &mut impl IoGroup, has_fault: bool, pen: bool) {
         if !self.points.is_empty() {
-            self.write_points(group, has_fault);
+            self.write_points(group, has_fault, pen);
         }
     }
 
     #[inline(never)]
-    fn write_points(&mut self, group: &mut impl IoGroup, has_fault: bool) {
+    fn write_points(&mut self, group: &mut impl IoGroup, has_fault: bool, pen: bool) {
         let points = self.points.iter().zip(&self.places).zip(&mut self.values);
         for ((point, place), value) in points {
             if point.direction == IoDirection::In {
                 continue;
             }
-            if has_fault && !point.is_kept {
+            if point.role == IoRole::Pen {
+                *value = u32::from(pen && !has_fault);
+            } else if has_fault && !point.is_kept {
                 *value = 0;
             }
             if let Some(place) = place {

@@ -19,6 +19,7 @@ pub use crate::control::cycle::{CycleReport, Queued, SamplerCommand, SamplerCoun
 use crate::control::feedback::COMPARISONS;
 use crate::control::io::Io;
 use crate::control::limit::limited;
+use crate::control::pen_switch::{HEIGHT, PenSwitch};
 use crate::control::position::PositionController;
 use crate::control::robot_axes::{AxisCommand, Demand, PositionDemand, RobotAxes};
 use crate::control::supervision::{Observation, Supervision};
@@ -103,6 +104,7 @@ pub struct Sampler<'a, G = RobotGroup<'a>> {
     first_late: bool,
     interlock: Option<Interlock>,
     io: Io,
+    pen: PenSwitch,
     /// Whether the bus has terminals whose failure is no fault.
     spares_terminals: bool,
     counters: SamplerCounters,
@@ -153,6 +155,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             first_late: false,
             interlock: None,
             io: Io::new(),
+            pen: PenSwitch::default(),
             spares_terminals: false,
             counters: SamplerCounters::default(),
         }
@@ -244,7 +247,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         let demand = Demand::Velocity(0.0);
         self.robot
             .write(&mut self.group, &[AxisCommand { target, demand }; AXES]);
-        self.io.write(&mut self.group, true);
+        self.io.write(&mut self.group, true, false);
         let telegram = match self.group.exchange_kind() {
             ExchangeKind::Split => self.group.trigger_output(),
             ExchangeKind::Combined => self.group.trigger_input(),
@@ -275,7 +278,8 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         let output_rad_s = self.control(following);
         self.supervise(following, underrun, &output_rad_s);
         self.write(following, &output_rad_s);
-        self.io.write(&mut self.group, self.supervision.fault().is_some());
+        let pen = following && self.power == Power::On && self.pen.is_on(&self.now.setpoint);
+        self.io.write(&mut self.group, self.supervision.fault().is_some(), pen);
         let telegram = self.group.trigger_output();
         let sending = match may_send(&self.bus, self.has_path) {
             true => transport.send(telegram),
@@ -374,7 +378,8 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
                     self.epoch = Some(epoch);
                     self.window.clear();
                 }
-                SamplerCommand::ConfigureIo(points) => {
+                SamplerCommand::ConfigureIo(points, pen) => {
+                    self.pen = pen;
                     self.io.configure(points);
                     self.spares_terminals = self.io.spares_terminals();
                 }
@@ -436,10 +441,13 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
     }
 
     /// Takes an axis that the machine lacks: it is where the last setpoint was, and its drive is in the state of the first
-    /// axis's. Returns true: it needs no rest.
+    /// axis's. Without setpoints the pen is up. Returns true: the axis is at rest.
     #[cold]
     fn follow_absent(&mut self, axis: usize) -> bool {
         let now = &mut self.now;
+        if axis == HEIGHT && self.epoch.is_none() {
+            now.setpoint.position_rad[HEIGHT] = self.pen.up_rad;
+        }
         let at = (now.measured_rad.get_mut(axis), now.setpoint.position_rad.get(axis));
         if let (Some(measured_rad), Some(setpoint_rad)) = at {
             *measured_rad = *setpoint_rad;

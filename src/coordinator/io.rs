@@ -7,6 +7,7 @@ use crate::application::{IoRefusal, Refusal};
 use crate::board::Lamps;
 use crate::config::{Config, IO_MAX, IoDirection, IoPoint, IoRole};
 use crate::control::io::{IoPlace, IoReport};
+use crate::control::pen_switch::PenSwitch;
 use crate::control::sampler::SamplerCommand;
 use crate::ethercat::slave_set::SlaveSet;
 use crate::messages::IoState;
@@ -57,7 +58,7 @@ impl Io {
         };
         self.points = config.io.iter().map(point).collect();
         self.states = config.io.iter().map(|_| IoState::default()).collect();
-        let needed = config.io.iter().filter(|point| point.role.stops());
+        let needed = config.io.iter().filter(|point| point.role.is_needed());
         let needed = needed.map(|point| usize::from(point.slave)).collect();
         self.spared = config.terminals().without(needed);
         self.lamp = None;
@@ -109,8 +110,8 @@ impl Io {
         if !point.is_output {
             return refused(IoRefusal::IsInput);
         }
-        if point.role == IoRole::Lamp {
-            return refused(IoRefusal::IsLamp);
+        if point.role.is_own() {
+            return refused(IoRefusal::IsOwn);
         }
         if u64::from(value) >> point.bits != 0 {
             return refused(IoRefusal::Range {
@@ -130,6 +131,7 @@ impl Coordinator<'_> {
         self.io.configure(config);
         self.tell_sampler(SamplerCommand::ConfigureIo(
             config.io.iter().map(IoPlace::from).collect(),
+            PenSwitch::new(config),
         ));
     }
 

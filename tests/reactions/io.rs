@@ -449,7 +449,7 @@ fn outputs_are_set_when_the_mode_allows_and_fall_to_their_safe_state_at_a_fault(
     robot.run(50);
     let refused = |io, reason| Err(Refusal::Io { io, reason });
     assert_eq!(robot.set(IO_STOP, 1), refused(IO_STOP, IoRefusal::IsInput));
-    assert_eq!(robot.set(IO_LAMP, 1), refused(IO_LAMP, IoRefusal::IsLamp));
+    assert_eq!(robot.set(IO_LAMP, 1), refused(IO_LAMP, IoRefusal::IsOwn));
     assert_eq!(robot.set(8, 1), refused(8, IoRefusal::Unknown));
     let range = IoRefusal::Range { expected: 1, actual: 2 };
     assert_eq!(robot.set(IO_VALVE, 2), refused(IO_VALVE, range));

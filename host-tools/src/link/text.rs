@@ -223,7 +223,7 @@ fn io_refusal(io: u8, reason: IoRefusal) -> String {
     match reason {
         IoRefusal::Unknown => format!("the firmware's configuration has no io {io}; connect with the one that has it"),
         IoRefusal::IsInput => format!("io {io} is an input; only outputs can be set"),
-        IoRefusal::IsLamp => format!("io {io} is the lamp; the controller sets it"),
+        IoRefusal::IsOwn => format!("io {io} is the lamp's or the pen's; the controller sets it"),
         IoRefusal::Range { expected, actual } => {
             format!("the value {actual:#x} does not fit the {expected} bits of io {io}")
         }
@@ -254,7 +254,10 @@ pub fn io_error(error: &IoError) -> String {
                 one(io)
             )
         }
-        IoError::Role { io, role: IoRole::Lamp } => format!("io {}: a lamp is an output of type bool", one(io)),
+        IoError::Role {
+            io,
+            role: role @ (IoRole::Lamp | IoRole::Pen),
+        } => format!("io {}: a {} is an output of type bool", one(io), role.name()),
         IoError::Role { io, role } => {
             format!("io {}: the role {} is for an input of type bool", one(io), role.name())
         }

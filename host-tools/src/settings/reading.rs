@@ -9,7 +9,7 @@
 //!
 //! Invariant: a message names the line and the value as they are written.
 
-use etherpen::config::{Axis, Config};
+use etherpen::config::Config;
 use etherpen::robots::{AXES, LINEAR_MM_PER_RAD};
 use serde::Deserialize;
 use std::f64::consts::TAU;
@@ -361,6 +361,7 @@ pub fn as_written(axis: usize, name: &str, linear: &[bool; AXES]) -> Option<(&'s
 #[cfg(test)]
 mod tests {
     use super::*;
+    use etherpen::config::Axis;
 
     fn error(text: &str) -> String {
         configuration(text).unwrap_err().to_string()

@@ -1,0 +1,101 @@
+//! How the machine lowers and lifts its pen.
+
+use super::MotionLimits;
+use etherpen_motion::settings::{Bound, Paper, bound};
+use serde::{Deserialize, Serialize};
+
+/// What lowers and lifts the pen.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum PenLiftKind {
+    /// The machine's own axes, which lift the whole tool.
+    #[default]
+    Axis,
+    /// The output with the role `pen`: a solenoid or a valve.
+    Output,
+    /// Nothing: the tool always touches.
+    None,
+}
+
+/// How the machine lowers and lifts its pen.
+///
+/// A machine whose pen is not lifted by an axis may lack the axis of the height. The path has its height all the same, so
+/// that lowering and lifting take the time that the pen needs: the speed of the missing axis is the lift within that time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct PenLift {
+    /// What lowers and lifts the pen.
+    pub kind: PenLiftKind,
+    /// Time from the output's change until the pen touches, ms; not used with an axis.
+    pub down_ms: u16,
+    /// Time from the output's change until the pen has left the paper, ms; not used with an axis.
+    pub up_ms: u16,
+}
+
+impl Default for PenLift {
+    fn default() -> Self {
+        Self {
+            kind: PenLiftKind::Axis,
+            down_ms: 60,
+            up_ms: 40,
+        }
+    }
+}
+
+/// Longest time of a pen lift, ms.
+const LIFT_MAX_MS: f64 = 1_000.0;
+/// Rows of the pen lift in the table of bounds.
+pub(super) const PEN_BOUNDS: usize = 2;
+
+impl PenLift {
+    /// Hard bounds of its values.
+    pub(super) fn bounds(&self) -> [Bound; PEN_BOUNDS] {
+        [
+            bound("pen.down_ms", f64::from(self.down_ms), 0.0, LIFT_MAX_MS),
+            bound("pen.up_ms", f64::from(self.up_ms), 0.0, LIFT_MAX_MS),
+        ]
+    }
+
+    /// The limits of motion with the vertical speed at which lowering and lifting take as long as the pen does. The corner
+    /// between lift and travel may be rounded by the travel tolerance, which is not counted as lift.
+    pub(super) fn within(&self, motion: &MotionLimits, paper: &Paper) -> MotionLimits {
+        let slowest_ms = self.down_ms.max(self.up_ms);
+        if self.kind == PenLiftKind::Axis || slowest_ms == 0 {
+            return *motion;
+        }
+        let lift_mm = (paper.pen_lift_mm - motion.travel_tolerance_mm).max(0.1 * paper.pen_lift_mm);
+        let speed_mm_s = lift_mm * 1_000.0 / f64::from(slowest_ms);
+        let configured = motion.pen_speed_mm_s;
+        MotionLimits {
+            pen_speed_mm_s: if configured > 0.0 {
+                speed_mm_s.min(configured)
+            } else {
+                speed_mm_s
+            },
+            ..*motion
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lowering_takes_at_least_as_long_as_the_pen_needs() {
+        let (motion, paper) = (MotionLimits::default(), Paper::default());
+        let lift = PenLift {
+            kind: PenLiftKind::Output,
+            down_ms: 50,
+            up_ms: 20,
+        };
+        // 3 mm less 0.5 mm in 50 ms.
+        assert!((lift.within(&motion, &paper).pen_speed_mm_s - 50.0).abs() < 1e-9);
+        let slower = MotionLimits {
+            pen_speed_mm_s: 10.0,
+            ..motion
+        };
+        assert_eq!(lift.within(&slower, &paper).pen_speed_mm_s, 10.0);
+        assert_eq!(PenLift::default().within(&motion, &paper), motion);
+    }
+}
