@@ -55,7 +55,7 @@ impl Admission {
             start: None,
             winding: (settings.motion.orientation == Orientation::Path).then(Winding::default),
             wound_at: None,
-            turn_range_rad: settings.geometry.turn_range_rad,
+            turn_range_rad: settings.geometry.turn_range_rad(),
             pen_z_mm: [
                 settings.paper.pen_down_z_mm,
                 settings.paper.pen_down_z_mm + settings.paper.pen_lift_mm,

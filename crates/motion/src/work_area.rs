@@ -1,24 +1,27 @@
 //! The work area: the space that a robot may use, and the reasons why a position is outside it.
 //!
-//! A position is inside when it lies in the cylinder and not too far below the plane of the paper, every main axis
+//! A position is inside when it lies in the work volume and not too far below the plane of the paper, every main axis
 //! keeps its margin from the ends of its range, and the robot is far enough from both kinds of singularity. Each check
-//! needs one inverse kinematics. The cylinder ends at the table, which is a plane too.
+//! needs one inverse kinematics. The volume ends at the table, which is a plane too.
 //!
-//! Cylinder and planes are convex; the limits of the joints are not. Checked points therefore keep a margin to the
-//! joints' limits: the largest change that a displacement of that length can cause. This keeps a curve near checked
-//! points inside too.
+//! Outer cylinder, box and planes are convex; the inner cylinder and the limits of the joints are not. Checked points
+//! therefore keep a margin to these: the largest change that a displacement of that length can cause. This keeps a curve
+//! near checked points inside too.
 
-use crate::robots::angle_range::AngleRange;
-use crate::robots::vector::Vector;
+use crate::robots::joint_ranges::JointRanges;
+use crate::robots::vector::{Vector, root};
 use crate::robots::{Conditioning, GeometryError, Kinematics, KinematicsError, MAIN_AXES, Position};
-use crate::settings::{Settings, WorkCylinder as Cylinder};
+use crate::settings::{Settings, WorkVolume};
 use serde::{Deserialize, Serialize};
 
 /// Factor on the bounds of a change, because these bounds grow along the displacement.
 const ROOM_FACTOR: f64 = 1.1;
 
-/// Borders of the work area: radius, two heights, paper, both ends of each main axis's range, two singularities.
-const BORDERS: usize = 4 + 2 * MAIN_AXES + 2;
+/// Borders of the work area: two radii, four sides of the box, two heights, paper, both ends of each main axis's range,
+/// two singularities.
+const BORDERS: usize = 9 + 2 * MAIN_AXES + 2;
+/// Part of a radius that a position on it may lie beyond it by rounding.
+const RADIUS_ROUNDING: f64 = 1.0e-12;
 /// Change of a distance to a border that counts as none, mm or rad.
 const CHANGE_NONE: f64 = 1.0e-9;
 
@@ -77,31 +80,56 @@ pub enum Outside {
         /// Lowest, mm.
         low_mm: f64,
     },
+    /// Too near the robot's axis.
+    InnerRadius {
+        /// Distance from the axis, mm.
+        radius_mm: f64,
+        /// The limit, mm.
+        limit_mm: f64,
+    },
+    /// Outside the box in x.
+    X {
+        /// The position's x, mm.
+        x_mm: f64,
+        /// Lowest, mm.
+        low_mm: f64,
+        /// Highest, mm.
+        high_mm: f64,
+    },
+    /// Outside the box in y.
+    Y {
+        /// The position's y, mm.
+        y_mm: f64,
+        /// Lowest, mm.
+        low_mm: f64,
+        /// Highest, mm.
+        high_mm: f64,
+    },
 }
 
 /// The space that the tool may use, with the robot that it belongs to.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WorkArea {
     kinematics: Kinematics,
-    cylinder: Cylinder,
+    /// The configured volume without what the robot's own box leaves out.
+    volume: WorkVolume,
     paper_low_mm: f64,
     /// Ranges of the main axes with the margin taken off.
-    ranges_rad: [[f64; 2]; MAIN_AXES],
-    ranges: [AngleRange; MAIN_AXES],
+    ranges: JointRanges,
 }
 
 impl WorkArea {
     /// Placeholder for a work area that is not configured yet; contains no position.
     pub(crate) const NONE: Self = Self {
         kinematics: Kinematics::NONE,
-        cylinder: Cylinder {
+        volume: WorkVolume {
             radius_mm: 0.0,
             z_low_mm: 0.0,
             z_high_mm: 0.0,
+            ..WorkVolume::ENDLESS
         },
         paper_low_mm: 0.0,
-        ranges_rad: [[0.0; 2]; MAIN_AXES],
-        ranges: [AngleRange::NONE; MAIN_AXES],
+        ranges: JointRanges::NONE,
     };
 
     /// The work area of a configuration.
@@ -109,17 +137,21 @@ impl WorkArea {
     /// # Errors
     /// The dimensions do not form a valid robot, or the margins leave no range.
     pub fn new(settings: &Settings) -> Result<Self, GeometryError> {
-        let kinematics = Kinematics::new(&settings.geometry)?;
-        let ranges_rad = settings.geometry.ranges_with_margin_rad();
+        let geometry = &settings.geometry;
+        let kinematics = Kinematics::new(geometry)?;
+        let ranges_rad = geometry.ranges_with_margin_rad();
         if let Some([low_rad, high_rad]) = ranges_rad.into_iter().find(|[low, high]| (low..high).is_empty()) {
             return Err(GeometryError::Range { low_rad, high_rad });
         }
+        let volume = match geometry.box_mm() {
+            Some(of_robot) => settings.work_area.common(&of_robot),
+            None => settings.work_area,
+        };
         Ok(Self {
             kinematics,
-            cylinder: settings.work_area,
+            volume,
             paper_low_mm: settings.paper.pen_down_z_mm - settings.paper.pressing_depth_mm,
-            ranges_rad,
-            ranges: ranges_rad.map(AngleRange::new),
+            ranges: JointRanges::new(ranges_rad),
         })
     }
 
@@ -131,15 +163,51 @@ impl WorkArea {
     /// Whether a position is inside; [`WorkArea::check`] gives the reason if not.
     pub fn contains(&self, position: &Position) -> bool {
         let Position { x_mm, y_mm, z_mm } = *position;
-        let Cylinder {
+        let WorkVolume {
             radius_mm,
+            inner_radius_mm,
+            x_mm: [x_low_mm, x_high_mm],
+            y_mm: [y_low_mm, y_high_mm],
             z_low_mm,
             z_high_mm,
-        } = self.cylinder;
-        x_mm * x_mm + y_mm * y_mm <= radius_mm * radius_mm
+        } = self.volume;
+        let radius_squared = x_mm * x_mm + y_mm * y_mm;
+        radius_squared <= radius_mm * radius_mm
+            && radius_squared >= inner_radius_mm * inner_radius_mm
+            && x_mm >= x_low_mm
+            && x_mm <= x_high_mm
+            && y_mm >= y_low_mm
+            && y_mm <= y_high_mm
             && z_mm >= z_low_mm.max(self.paper_low_mm)
             && z_mm <= z_high_mm
             && self.kinematics.clears(&Vector::from(*position), &self.ranges)
+    }
+
+    /// A position inside near one that is outside: at the borders of the volume and of the paper, where the joints reach
+    /// that place; `None` where they do not.
+    pub fn nearest(&self, position: &Position) -> Option<Position> {
+        let within = |value: f64, [low, high]: [f64; 2]| value.max(low).min(high);
+        let volume = &self.volume;
+        let at_box = [within(position.x_mm, volume.x_mm), within(position.y_mm, volume.y_mm)];
+        let [x, y] = at_box;
+        let radius_mm = root(x * x + y * y);
+        // Inwards by what rounding may add.
+        let allowed = [
+            volume.inner_radius_mm * (1.0 + RADIUS_ROUNDING),
+            volume.radius_mm * (1.0 - RADIUS_ROUNDING),
+        ];
+        let scale = if radius_mm > 0.0 {
+            within(radius_mm, allowed) / radius_mm
+        } else {
+            1.0
+        };
+        let [x_mm, y_mm] = at_box.map(|value| value * scale);
+        let z_mm = within(
+            position.z_mm,
+            [volume.z_low_mm.max(self.paper_low_mm), volume.z_high_mm],
+        );
+        let near = Position { x_mm, y_mm, z_mm };
+        self.contains(&near).then_some(near)
     }
 
     /// Checks a position and returns the angles of its main axes, rad.
@@ -160,11 +228,18 @@ impl WorkArea {
         } = self.kinematics.conditioning(position);
         let min = self.kinematics.conditioning_min();
         let [a, b, c] = self.kinematics.angles(&Vector::from(*position));
-        let [[low_a, high_a], [low_b, high_b], [low_c, high_c]] = self.ranges_rad;
+        let [[low_a, high_a], [low_b, high_b], [low_c, high_c]] = self.ranges.rad;
+        let ([x_low_mm, x_high_mm], [y_low_mm, y_high_mm]) = (self.volume.x_mm, self.volume.y_mm);
+        let radius_mm = root(x_mm * x_mm + y_mm * y_mm);
         [
-            crate::robots::vector::root(x_mm * x_mm + y_mm * y_mm) - self.cylinder.radius_mm,
-            z_mm - self.cylinder.z_high_mm,
-            self.cylinder.z_low_mm - z_mm,
+            radius_mm - self.volume.radius_mm,
+            self.volume.inner_radius_mm - radius_mm,
+            x_mm - x_high_mm,
+            x_low_mm - x_mm,
+            y_mm - y_high_mm,
+            y_low_mm - y_mm,
+            z_mm - self.volume.z_high_mm,
+            self.volume.z_low_mm - z_mm,
             self.paper_low_mm - z_mm,
             a - high_a,
             b - high_b,
@@ -196,25 +271,27 @@ impl WorkArea {
         if enters && stays_within { Ok(()) } else { Err(outside) }
     }
 
-    /// Checks a position like [`Self::check`], with a margin of `room_mm` to the limits of the joints; meant for a few
-    /// millimetres at most.
+    /// Checks a position like [`Self::check`], with a margin of `room_mm` to the inner radius and to the limits of the
+    /// joints; meant for a few millimetres at most.
     ///
     /// # Errors
     /// The first reason why the position is outside; the reported limits have the margin taken off.
     pub fn check_around(&self, position: &Position, room_mm: f64) -> Result<[f64; MAIN_AXES], Outside> {
-        let Cylinder {
+        let WorkVolume {
             radius_mm: limit_mm,
             z_low_mm: low_mm,
             z_high_mm: high_mm,
-        } = self.cylinder;
+            ..
+        } = self.volume;
         let Position { x_mm, y_mm, z_mm } = *position;
         if !(x_mm.is_finite() && y_mm.is_finite() && z_mm.is_finite()) {
             return Err(Outside::Kinematics(KinematicsError::NotFinite));
         }
-        let radius_mm = crate::robots::vector::root(x_mm * x_mm + y_mm * y_mm);
+        let radius_mm = root(x_mm * x_mm + y_mm * y_mm);
         if radius_mm > limit_mm {
             return Err(Outside::Radius { radius_mm, limit_mm });
         }
+        self.check_sides(x_mm, y_mm, radius_mm, room_mm)?;
         if !(z_mm >= low_mm && z_mm <= high_mm) {
             return Err(Outside::Height { z_mm, low_mm, high_mm });
         }
@@ -236,9 +313,9 @@ impl WorkArea {
         if ratio < limit {
             return Err(Outside::Stretched { joint, ratio, limit });
         }
-        let angle_room = room * change.angle;
-        for (joint, (angle_rad, [low_rad, high_rad])) in (0u8..).zip(angles.into_iter().zip(self.ranges_rad)) {
-            let (low_rad, high_rad) = (low_rad + angle_room, high_rad - angle_room);
+        let ranges_rad = angles.into_iter().zip(self.ranges.rad).zip(change.angles);
+        for (joint, ((angle_rad, [low_rad, high_rad]), change)) in (0u8..).zip(ranges_rad) {
+            let (low_rad, high_rad) = (low_rad + room * change, high_rad - room * change);
             if !(angle_rad >= low_rad && angle_rad <= high_rad) {
                 return Err(Outside::Margin {
                     joint,
@@ -254,12 +331,36 @@ impl WorkArea {
         }
         Ok(angles)
     }
+
+    /// Checks inner radius and box.
+    fn check_sides(&self, x_mm: f64, y_mm: f64, radius_mm: f64, room_mm: f64) -> Result<(), Outside> {
+        let WorkVolume {
+            inner_radius_mm,
+            x_mm: [x_low_mm, x_high_mm],
+            y_mm: [y_low_mm, y_high_mm],
+            ..
+        } = self.volume;
+        if inner_radius_mm > 0.0 && radius_mm < inner_radius_mm + room_mm {
+            let limit_mm = inner_radius_mm + room_mm;
+            return Err(Outside::InnerRadius { radius_mm, limit_mm });
+        }
+        if !(x_mm >= x_low_mm && x_mm <= x_high_mm) {
+            let (low_mm, high_mm) = (x_low_mm, x_high_mm);
+            return Err(Outside::X { x_mm, low_mm, high_mm });
+        }
+        if !(y_mm >= y_low_mm && y_mm <= y_high_mm) {
+            let (low_mm, high_mm) = (y_low_mm, y_high_mm);
+            return Err(Outside::Y { y_mm, low_mm, high_mm });
+        }
+        Ok(())
+    }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
     use crate::random::Random;
+    use crate::robots::{DeltaGeometry, Geometry};
 
     fn check(x_mm: f64, y_mm: f64, z_mm: f64) -> Result<[f64; MAIN_AXES], Outside> {
         WorkArea::new(&Settings::default())
@@ -315,7 +416,11 @@ mod tests {
     fn what_contains_says_is_what_check_says() {
         let mut settings = Settings::default();
         settings.paper.pressing_depth_mm = 110.0;
-        let geometries = [settings.geometry, settings.geometry.with_range([-0.2, 0.6])];
+        let narrow = DeltaGeometry {
+            arm_range_rad: [-0.2, 0.6],
+            ..DeltaGeometry::default()
+        };
+        let geometries = [settings.geometry, Geometry::Delta(narrow)];
         let (mut inside, mut outside) = (0, 0);
         for geometry in geometries {
             settings.geometry = geometry;
@@ -345,8 +450,11 @@ mod tests {
     #[test]
     fn a_margin_that_uses_up_the_range_is_refused() {
         let mut settings = Settings::default();
-        settings.geometry.arm_range_rad = [0.0, 0.1];
-        settings.geometry.arm_margin_rad = 0.1;
+        settings.geometry = Geometry::Delta(DeltaGeometry {
+            arm_range_rad: [0.0, 0.1],
+            arm_margin_rad: 0.1,
+            ..DeltaGeometry::default()
+        });
         assert!(matches!(WorkArea::new(&settings), Err(GeometryError::Range { .. })));
     }
 }

@@ -3,22 +3,38 @@
 //! [`Kinematics`] is the seam between a kind of robot and everything that moves one. Every kind is a file or folder of
 //! its own here; planner, controller and host programs use only [`Kinematics`] and depend on no kind.
 //!
-//! Lengths are millimetres, angles radians. The frame's origin is the centre of the base, and z points up.
+//! Lengths are millimetres, angles radians. Each kind defines its frame's origin; z points up.
 //!
-//! A new kind needs its file here with dimensions and mathematics, a variant of [`Kinematics`], a mechanism in the
-//! virtual cell, and a drawing on the console's page. The dimensions in the configuration ([`Geometry`]) are still the
-//! delta's.
+//! [`Geometry`] has the dimensions of each kind, as the configuration and the messages carry them. The joint of a linear
+//! axis is its pulley or screw, so that every joint has an angle.
 
-pub(crate) mod angle_range;
+mod corexy;
 mod delta;
+mod flat;
+mod gantry;
+pub(crate) mod geometry;
+pub(crate) mod joint_ranges;
+mod linear;
+mod linear_delta;
+mod scara;
+mod spheres;
 pub mod vector;
 
-pub use delta::{Geometry, GeometryError, Measured, MeasuredError};
+pub use corexy::CoreXyGeometry;
+pub use delta::{DeltaError, DeltaGeometry, Measured, MeasuredError};
+pub use gantry::GantryGeometry;
+pub use geometry::{Geometry, GeometryError, Kind};
+pub use linear_delta::{LinearDeltaError, LinearDeltaGeometry};
+pub use scara::{ScaraError, ScaraGeometry};
 
-use angle_range::AngleRange;
+use corexy::CoreXy;
 use delta::Delta;
+use gantry::Gantry;
+use joint_ranges::JointRanges;
+use linear_delta::LinearDelta;
+use scara::Scara;
 use serde::{Deserialize, Serialize};
-use vector::Vector;
+use vector::{Vector, root};
 
 /// Number of axes: the main axes and the rotating fourth axis.
 pub const AXES: usize = 4;
@@ -35,11 +51,11 @@ pub const RATIO_SINGULAR: f64 = 1.0e-6;
 /// Position of the tool in the robot's frame, millimetres.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Position {
-    /// Towards azimuth 0, mm.
+    /// Towards azimuth 0 of robots with a base, along the first axis of others, mm.
     pub x_mm: f64,
     /// Completes the right-handed frame, mm.
     pub y_mm: f64,
-    /// Upwards from the base, mm; negative below it.
+    /// Upwards, mm; negative below the frame's origin.
     pub z_mm: f64,
 }
 
@@ -111,15 +127,29 @@ pub struct Conditioning {
     /// Absolute determinant of the directions in which the joints hold the tool: 1 where they hold it best, 0 where one
     /// direction is not held at all.
     pub determinant: f64,
-    /// Largest change of the angles, ratio and determinant by a displacement of one millimetre here.
+    /// Largest changes of angles, ratio and determinant by a displacement of one millimetre here.
     pub change: Change,
+}
+
+impl Conditioning {
+    /// Of a robot without singularities, whose angles are in proportion to displacements.
+    const REGULAR: Self = Self {
+        ratio: (0, 1.0),
+        determinant: 1.0,
+        change: Change {
+            angles: [0.0; MAIN_AXES],
+            ratio: 0.0,
+            determinant: 0.0,
+        },
+    };
 }
 
 /// Upper bounds of the changes caused by a displacement of one millimetre, for displacements small against the links.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Change {
-    /// Of any joint's angle, rad/mm.
-    pub angle: f64,
+    /// Of each main axis's angle, rad/mm. 0 for an angle in proportion to the displacement: between two positions it is
+    /// between the angles of both, so that its limits hold wherever they hold at both.
+    pub angles: [f64; MAIN_AXES],
     /// Of any joint's ratio, 1/mm.
     pub ratio: f64,
     /// Of the determinant, 1/mm.
@@ -160,6 +190,14 @@ impl Default for Words {
 pub enum Kinematics {
     /// A delta robot.
     Delta(Delta),
+    /// A gantry.
+    Gantry(Gantry),
+    /// A machine with two crossed belts.
+    CoreXy(CoreXy),
+    /// A SCARA.
+    Scara(Scara),
+    /// A linear delta.
+    LinearDelta(LinearDelta),
 }
 
 impl Kinematics {
@@ -171,7 +209,13 @@ impl Kinematics {
     /// # Errors
     /// Why the dimensions do not form a valid robot, see [`GeometryError`].
     pub fn new(geometry: &Geometry) -> Result<Self, GeometryError> {
-        Delta::new(geometry).map(Self::Delta)
+        match geometry {
+            Geometry::Delta(geometry) => Delta::new(geometry).map(Self::Delta),
+            Geometry::Gantry(geometry) => Gantry::new(geometry).map(Self::Gantry),
+            Geometry::CoreXy(geometry) => CoreXy::new(geometry).map(Self::CoreXy),
+            Geometry::Scara(geometry) => Scara::new(geometry).map(Self::Scara),
+            Geometry::LinearDelta(geometry) => LinearDelta::new(geometry).map(Self::LinearDelta),
+        }
     }
 
     /// Nouns for messages about this robot.
@@ -179,6 +223,10 @@ impl Kinematics {
     pub fn words(&self) -> Words {
         match self {
             Self::Delta(_) => delta::WORDS,
+            Self::Gantry(_) => gantry::WORDS,
+            Self::CoreXy(_) => corexy::WORDS,
+            Self::Scara(_) => scara::WORDS,
+            Self::LinearDelta(_) => linear_delta::WORDS,
         }
     }
 
@@ -190,6 +238,10 @@ impl Kinematics {
     pub fn inverse(&self, position: &Position) -> Result<[f64; MAIN_AXES], KinematicsError> {
         match self {
             Self::Delta(delta) => delta.inverse(position),
+            Self::Gantry(gantry) => gantry.inverse(position),
+            Self::CoreXy(corexy) => corexy.inverse(position),
+            Self::Scara(scara) => scara.inverse(position),
+            Self::LinearDelta(delta) => delta.inverse(position),
         }
     }
 
@@ -199,6 +251,10 @@ impl Kinematics {
     pub fn angles(&self, point: &Vector) -> [f64; MAIN_AXES] {
         match self {
             Self::Delta(delta) => delta.angles(point),
+            Self::Gantry(gantry) => gantry.angles(point),
+            Self::CoreXy(corexy) => corexy.angles(point),
+            Self::Scara(scara) => scara.angles(point),
+            Self::LinearDelta(delta) => delta.angles(point),
         }
     }
 
@@ -209,6 +265,10 @@ impl Kinematics {
     pub fn rows(&self, point: &Vector, tangent: &Vector, bend: &Vector) -> JointRows {
         match self {
             Self::Delta(delta) => delta.rows(point, tangent, bend),
+            Self::Gantry(gantry) => gantry.rows(tangent, bend),
+            Self::CoreXy(corexy) => corexy.rows(tangent, bend),
+            Self::Scara(scara) => scara.rows(point, tangent, bend),
+            Self::LinearDelta(delta) => delta.rows(point, tangent, bend),
         }
     }
 
@@ -218,6 +278,9 @@ impl Kinematics {
     pub fn conditioning(&self, position: &Position) -> Conditioning {
         match self {
             Self::Delta(delta) => delta.conditioning(position),
+            Self::Gantry(_) | Self::CoreXy(_) => Conditioning::REGULAR,
+            Self::Scara(scara) => scara.conditioning(position),
+            Self::LinearDelta(delta) => delta.conditioning(position),
         }
     }
 
@@ -226,6 +289,10 @@ impl Kinematics {
     pub(crate) fn conditioning_min(&self) -> ConditioningMin {
         match self {
             Self::Delta(_) => delta::CONDITIONING_MIN,
+            Self::Gantry(_) => gantry::CONDITIONING_MIN,
+            Self::CoreXy(_) => corexy::CONDITIONING_MIN,
+            Self::Scara(_) => scara::CONDITIONING_MIN,
+            Self::LinearDelta(_) => linear_delta::CONDITIONING_MIN,
         }
     }
 
@@ -233,9 +300,13 @@ impl Kinematics {
     /// [`Kinematics::conditioning_min`]. Costs a fraction of [`Kinematics::inverse`] and [`Kinematics::conditioning`],
     /// which also give the reason.
     #[inline]
-    pub(crate) fn clears(&self, point: &Vector, ranges: &[AngleRange; MAIN_AXES]) -> bool {
+    pub(crate) fn clears(&self, point: &Vector, ranges: &JointRanges) -> bool {
         match self {
             Self::Delta(delta) => delta.clears(point, ranges),
+            Self::Gantry(gantry) => gantry.clears(point, ranges),
+            Self::CoreXy(corexy) => corexy.clears(point, ranges),
+            Self::Scara(scara) => scara.clears(point, ranges),
+            Self::LinearDelta(delta) => delta.clears(point, ranges),
         }
     }
 
@@ -247,6 +318,63 @@ impl Kinematics {
     pub fn forward(&self, joints: &JointAngles) -> Result<Position, KinematicsError> {
         match self {
             Self::Delta(delta) => delta.forward(joints),
+            Self::Gantry(gantry) => gantry.forward(joints),
+            Self::CoreXy(corexy) => corexy.forward(joints),
+            Self::Scara(scara) => scara.forward(joints),
+            Self::LinearDelta(delta) => delta.forward(joints),
         }
+    }
+}
+
+/// Angles that are all in their ranges, rad.
+///
+/// # Errors
+/// [`KinematicsError::Range`] for the first joint outside its range.
+fn in_range(
+    angles_rad: [f64; MAIN_AXES],
+    ranges_rad: &[[f64; 2]; MAIN_AXES],
+) -> Result<[f64; MAIN_AXES], KinematicsError> {
+    for (joint, (angle_rad, [low_rad, high_rad])) in (0u8..).zip(angles_rad.into_iter().zip(*ranges_rad)) {
+        if !(angle_rad >= low_rad && angle_rad <= high_rad) {
+            return Err(KinematicsError::Range {
+                joint,
+                angle_rad,
+                low_rad,
+                high_rad,
+            });
+        }
+    }
+    Ok(angles_rad)
+}
+
+/// Checks that a joint reaches a position and its links are not in line.
+///
+/// # Errors
+/// [`KinematicsError::Unreachable`] or [`KinematicsError::Singular`].
+fn reached(joint: u8, ratio_squared: f64) -> Result<(), KinematicsError> {
+    if ratio_squared.is_nan() || ratio_squared < 0.0 {
+        return Err(KinematicsError::Unreachable { joint, ratio_squared });
+    }
+    if ratio_squared < RATIO_SINGULAR * RATIO_SINGULAR {
+        let ratio = root(ratio_squared);
+        return Err(KinematicsError::Singular { joint, ratio });
+    }
+    Ok(())
+}
+
+/// Root of a square that carries the sign of the number.
+fn signed_root(square: f64) -> f64 {
+    if square < 0.0 { -root(-square) } else { root(square) }
+}
+
+/// A position that joint angles give, if angles and position are finite.
+///
+/// # Errors
+/// [`KinematicsError::NotFinite`].
+fn finite(joints: &JointAngles, point: Vector) -> Result<Position, KinematicsError> {
+    if joints.0.iter().chain(&point).all(|value| value.is_finite()) {
+        Ok(point.into())
+    } else {
+        Err(KinematicsError::NotFinite)
     }
 }

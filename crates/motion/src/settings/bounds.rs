@@ -2,23 +2,30 @@
 //!
 //! A bound that depends on another value expresses a relation between the two.
 
-use super::Settings;
+use super::{Settings, WorkVolume};
 use crate::bounds::{Bound, Violation, bound, first_violation};
 use crate::robots::Geometry;
 
 impl Settings {
     /// Number of rows in [`Settings::bounds`].
-    pub const BOUNDS: usize = Geometry::BOUNDS + 24;
+    pub const BOUNDS: usize = Geometry::BOUNDS + 29;
 
     /// Hard bounds of every value except the dead-man time, which is bounded by the settings of the bus.
     #[must_use]
     pub fn bounds(&self) -> [Bound; Self::BOUNDS] {
         let (geometry, area, paper, motion) = (&self.geometry, &self.work_area, &self.paper, &self.motion);
-        let reach = geometry.reach_mm();
+        let (reach, [floor, ceiling]) = (geometry.reach_mm(), geometry.heights_mm());
+        let (joint_speed_max, joint_acceleration_max) = geometry.joint_limits_max();
+        let farthest = WorkVolume::BORDER_MAX_MM;
         let rows: [Bound; Self::BOUNDS - Geometry::BOUNDS] = [
             bound("work_area.radius_mm", area.radius_mm, 1.0, reach),
-            bound("work_area.z_low_mm", area.z_low_mm, -reach, area.z_high_mm),
-            bound("work_area.z_high_mm", area.z_high_mm, area.z_low_mm, 0.0),
+            bound("work_area.inner_radius_mm", area.inner_radius_mm, 0.0, area.radius_mm),
+            bound("work_area.x_mm[0]", area.x_mm[0], -farthest, area.x_mm[1]),
+            bound("work_area.x_mm[1]", area.x_mm[1], area.x_mm[0], farthest),
+            bound("work_area.y_mm[0]", area.y_mm[0], -farthest, area.y_mm[1]),
+            bound("work_area.y_mm[1]", area.y_mm[1], area.y_mm[0], farthest),
+            bound("work_area.z_low_mm", area.z_low_mm, floor, area.z_high_mm),
+            bound("work_area.z_high_mm", area.z_high_mm, area.z_low_mm, ceiling),
             bound(
                 "paper.centre_mm[0]",
                 paper.centre_mm[0],
@@ -66,25 +73,25 @@ impl Settings {
                 "motion.joint_speed_rad_s",
                 largest(&motion.joint_speed_rad_s),
                 0.01,
-                50.0,
+                joint_speed_max,
             ),
             bound(
                 "motion.joint_speed_rad_s",
                 smallest(&motion.joint_speed_rad_s),
                 0.01,
-                50.0,
+                joint_speed_max,
             ),
             bound(
                 "motion.joint_acceleration_rad_s2",
                 largest(&motion.joint_acceleration_rad_s2),
                 0.1,
-                2000.0,
+                joint_acceleration_max,
             ),
             bound(
                 "motion.joint_acceleration_rad_s2",
                 smallest(&motion.joint_acceleration_rad_s2),
                 0.1,
-                2000.0,
+                joint_acceleration_max,
             ),
             bound("motion.tolerance_mm", motion.tolerance_mm, 0.005, 5.0),
             bound(

@@ -8,24 +8,76 @@ pub use crate::robots::Geometry;
 use crate::robots::AXES;
 use serde::{Deserialize, Serialize};
 
-/// The space the platform may use: an upright cylinder around the robot's axis.
+/// The space the tool may use: what is common to an upright ring around the frame's z axis, a box, and the space between
+/// two heights. A border that a machine does not need is left at its default, which no machine reaches.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct WorkCylinder {
-    /// Radius of the cylinder, mm.
+pub struct WorkVolume {
+    /// Outer radius of the ring, mm.
     pub radius_mm: f64,
+    /// Inner radius of the ring, mm; 0 for a cylinder.
+    pub inner_radius_mm: f64,
+    /// Lowest and highest x of the box, mm.
+    pub x_mm: [f64; 2],
+    /// Lowest and highest y of the box, mm.
+    pub y_mm: [f64; 2],
     /// Lowest z, mm.
     pub z_low_mm: f64,
     /// Highest z, mm.
     pub z_high_mm: f64,
 }
 
-impl Default for WorkCylinder {
+impl Default for WorkVolume {
     fn default() -> Self {
         Self {
             radius_mm: 565.0,
             z_low_mm: -960.0,
             z_high_mm: -700.0,
+            ..Self::ENDLESS
+        }
+    }
+}
+
+impl WorkVolume {
+    /// Farthest border that a configuration may have, mm.
+    pub const BORDER_MAX_MM: f64 = 10_000.0;
+
+    /// The volume with all borders where no machine reaches them.
+    pub const ENDLESS: Self = Self {
+        radius_mm: Self::BORDER_MAX_MM,
+        inner_radius_mm: 0.0,
+        x_mm: [-Self::BORDER_MAX_MM, Self::BORDER_MAX_MM],
+        y_mm: [-Self::BORDER_MAX_MM, Self::BORDER_MAX_MM],
+        z_low_mm: -Self::BORDER_MAX_MM,
+        z_high_mm: Self::BORDER_MAX_MM,
+    };
+
+    /// A box: lowest and highest x, y and z, mm.
+    #[must_use]
+    pub fn of_box([x_mm, y_mm, [z_low_mm, z_high_mm]]: [[f64; 2]; 3]) -> Self {
+        let farthest = |[low, high]: [f64; 2]| low.abs().max(high.abs());
+        Self {
+            radius_mm: libm::hypot(farthest(x_mm), farthest(y_mm)),
+            x_mm,
+            y_mm,
+            z_low_mm,
+            z_high_mm,
+            ..Self::ENDLESS
+        }
+    }
+
+    /// What is common to two volumes.
+    #[must_use]
+    pub fn common(&self, other: &Self) -> Self {
+        let both = |[a_low, a_high]: [f64; 2], [b_low, b_high]: [f64; 2]| [a_low.max(b_low), a_high.min(b_high)];
+        let [z_low_mm, z_high_mm] = both([self.z_low_mm, self.z_high_mm], [other.z_low_mm, other.z_high_mm]);
+        Self {
+            radius_mm: self.radius_mm.min(other.radius_mm),
+            inner_radius_mm: self.inner_radius_mm.max(other.inner_radius_mm),
+            x_mm: both(self.x_mm, other.x_mm),
+            y_mm: both(self.y_mm, other.y_mm),
+            z_low_mm,
+            z_high_mm,
         }
     }
 }
@@ -54,6 +106,29 @@ impl Default for Paper {
             pen_down_z_mm: -850.0,
             pen_lift_mm: 3.0,
             pressing_depth_mm: 1.0,
+        }
+    }
+}
+
+impl Paper {
+    /// A sheet of at most 200 mm in the middle of a volume, a third of its height above its lowest z. In a ring the
+    /// sheet lies in front, half way between both radii.
+    fn within(volume: &WorkVolume) -> Self {
+        let reach = |[low, high]: [f64; 2]| [low.max(-volume.radius_mm), high.min(volume.radius_mm)];
+        let ([x_low, x_high], [y_low, y_high]) = (reach(volume.x_mm), reach(volume.y_mm));
+        let height = volume.z_high_mm - volume.z_low_mm;
+        let middle = if volume.inner_radius_mm > 0.0 {
+            [0.5 * (volume.inner_radius_mm + volume.radius_mm), 0.0]
+        } else {
+            [0.5 * (x_low + x_high), 0.5 * (y_low + y_high)]
+        };
+        let ring = 0.5 * (volume.radius_mm - volume.inner_radius_mm);
+        let of = |width: f64| (0.5 * width).min(ring).min(200.0);
+        Self {
+            centre_mm: middle,
+            size_mm: [of(x_high - x_low), of(y_high - y_low)],
+            pen_down_z_mm: volume.z_low_mm + height / 3.0,
+            ..Self::default()
         }
     }
 }
@@ -127,7 +202,7 @@ pub struct Settings {
     /// Shape of the robot.
     pub geometry: Geometry,
     /// Space the robot may use.
-    pub work_area: WorkCylinder,
+    pub work_area: WorkVolume,
     /// Paper and pen.
     pub paper: Paper,
     /// Limits of motion.
@@ -136,11 +211,26 @@ pub struct Settings {
     pub dead_man_ms: u16,
 }
 
+impl Settings {
+    /// Settings of a usual machine with these dimensions: its largest usual work volume, and a sheet of at most 200 mm
+    /// in the middle of it.
+    #[must_use]
+    pub fn usual(geometry: Geometry) -> Self {
+        let work_area = geometry.work_volume();
+        Self {
+            geometry,
+            work_area,
+            paper: Paper::within(&work_area),
+            ..Self::default()
+        }
+    }
+}
+
 impl Default for Settings {
     fn default() -> Self {
         Self {
             geometry: Geometry::default(),
-            work_area: WorkCylinder::default(),
+            work_area: WorkVolume::default(),
             paper: Paper::default(),
             motion: MotionLimits::default(),
             dead_man_ms: 100,

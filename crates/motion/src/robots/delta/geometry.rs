@@ -2,6 +2,8 @@
 
 use crate::bounds::{Bound, bound};
 use crate::robots::MAIN_AXES;
+use crate::robots::geometry::GeometryError;
+use core::f64::consts::PI;
 use core::fmt;
 use serde::{Deserialize, Serialize};
 
@@ -11,7 +13,7 @@ const HALF_ROOT_OF_THREE: f64 = 0.866_025_403_784_438_6;
 /// Geometry of a delta robot with three equal arms.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
-pub struct Geometry {
+pub struct DeltaGeometry {
     /// Centre of the base to the shoulder axes, mm.
     pub base_radius_mm: f64,
     /// Length of an upper arm, mm.
@@ -31,7 +33,7 @@ pub struct Geometry {
     pub turn_range_rad: [f64; 2],
 }
 
-impl Default for Geometry {
+impl Default for DeltaGeometry {
     /// The IRB 340, from public descriptions of the robot. They differ from each other by 2 %: measure your own robot.
     fn default() -> Self {
         Self {
@@ -47,13 +49,9 @@ impl Default for Geometry {
     }
 }
 
-impl Geometry {
-    /// Number of rows in [`Geometry::bounds`].
-    pub const BOUNDS: usize = 12;
-
+impl DeltaGeometry {
     /// Hard bounds of the dimensions, named as configuration files write them.
-    #[must_use]
-    pub fn bounds(&self) -> [Bound; Self::BOUNDS] {
+    pub(in crate::robots) fn bounds(&self) -> [Bound; 12] {
         let [first_deg, second_deg, third_deg] = self.arm_azimuths_deg;
         let [low_rad, high_rad] = self.arm_range_rad;
         let [turn_low_rad, turn_high_rad] = self.turn_range_rad;
@@ -79,36 +77,27 @@ impl Geometry {
     }
 
     /// Largest distance of the tool from the base that the links' lengths allow, mm.
-    #[must_use]
-    pub fn reach_mm(&self) -> f64 {
+    pub(in crate::robots) fn reach_mm(&self) -> f64 {
         self.upper_arm_mm + self.forearm_mm
     }
 
     /// Lowest and highest angle of each main axis, rad.
-    #[must_use]
-    pub fn ranges_rad(&self) -> [[f64; 2]; MAIN_AXES] {
+    pub(in crate::robots) fn ranges_rad(&self) -> [[f64; 2]; MAIN_AXES] {
         [self.arm_range_rad; MAIN_AXES]
     }
 
-    /// Lowest and highest angle of each main axis, rad, with the configured margin taken off both ends.
-    #[must_use]
-    pub fn ranges_with_margin_rad(&self) -> [[f64; 2]; MAIN_AXES] {
-        let margin = self.arm_margin_rad;
-        self.ranges_rad().map(|[low, high]| [low + margin, high - margin])
-    }
-
-    /// This geometry with another range of all main axes, rad.
-    #[must_use]
-    pub fn with_range(self, arm_range_rad: [f64; 2]) -> Self {
-        Self { arm_range_rad, ..self }
+    /// This geometry with arms that turn all the way round.
+    pub(in crate::robots) fn without_ranges(self) -> Self {
+        Self {
+            arm_range_rad: [-PI, PI],
+            ..self
+        }
     }
 }
 
-/// Why dimensions do not form a valid delta robot.
+/// Why lengths and azimuths do not form a valid delta robot.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum GeometryError {
-    /// A value is not a finite number.
-    NotFinite,
+pub enum DeltaError {
     /// An arm's length is not positive, or the forearm is not longer than the upper arm.
     Lengths {
         /// Upper arm, mm.
@@ -123,19 +112,17 @@ pub enum GeometryError {
         /// The second, degrees.
         second_deg: f64,
     },
-    /// The arm range is empty.
-    Range {
-        /// Lower end, rad.
-        low_rad: f64,
-        /// Upper end, rad.
-        high_rad: f64,
-    },
 }
 
-impl fmt::Display for GeometryError {
+impl From<DeltaError> for GeometryError {
+    fn from(error: DeltaError) -> Self {
+        Self::Delta(error)
+    }
+}
+
+impl fmt::Display for DeltaError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::NotFinite => f.write_str("a value is no finite number"),
             Self::Lengths {
                 upper_arm_mm,
                 forearm_mm,
@@ -147,14 +134,9 @@ impl fmt::Display for GeometryError {
             Self::Azimuths { first_deg, second_deg } => {
                 write!(f, "arms at {first_deg} and {second_deg} degrees move in the same plane")
             }
-            Self::Range { low_rad, high_rad } => {
-                write!(f, "the range of the arms from {low_rad} to {high_rad} rad is empty")
-            }
         }
     }
 }
-
-impl core::error::Error for GeometryError {}
 
 /// Dimensions as a file of measurements gives them: radii, or sides of the equilateral triangles of base and platform.
 #[derive(Debug, Deserialize)]
@@ -212,7 +194,7 @@ impl Measured {
     ///
     /// # Errors
     /// A size is missing, given twice or negative.
-    pub fn geometry(&self) -> Result<Geometry, MeasuredError> {
+    pub fn geometry(&self) -> Result<DeltaGeometry, MeasuredError> {
         // From the centre of the base's triangle to a side, of the platform's to a corner.
         let (to_side, to_corner) = (HALF_ROOT_OF_THREE / 3.0, 2.0 * HALF_ROOT_OF_THREE / 3.0);
         let base_radius_mm = radius("base", self.base_radius_mm, self.base_side_mm, to_side)?;
@@ -222,8 +204,8 @@ impl Measured {
                 return Err(MeasuredError::Negative(part));
             }
         }
-        let defaults = Geometry::default();
-        Ok(Geometry {
+        let defaults = DeltaGeometry::default();
+        Ok(DeltaGeometry {
             base_radius_mm,
             platform_radius_mm,
             upper_arm_mm: self.upper_arm_mm,

@@ -9,10 +9,12 @@
 
 mod geometry;
 
-pub use geometry::{Geometry, GeometryError, Measured, MeasuredError};
+pub use geometry::{DeltaError, DeltaGeometry, Measured, MeasuredError};
 
-use super::angle_range::AngleRange;
-use super::vector::{Vector, add_scaled, cross, dot, length, root, scale, subtract};
+use super::geometry::GeometryError;
+use super::joint_ranges::JointRanges;
+use super::spheres::lower_meeting;
+use super::vector::{Vector, cross, dot, root, scale};
 use super::{
     Change, Conditioning, ConditioningMin, JointAngles, JointRows, KinematicsError, Position, RATIO_SINGULAR, Words,
 };
@@ -58,6 +60,13 @@ struct ArmPose {
     ratio_squared: f64,
 }
 
+/// An arm's part of [`Change`].
+struct ArmChange {
+    angle: f64,
+    ratio: f64,
+    determinant: f64,
+}
+
 impl Delta {
     /// Placeholder for a robot that is not configured yet.
     pub(super) const NONE: Self = Self {
@@ -72,7 +81,7 @@ impl Delta {
     ///
     /// # Errors
     /// Why the dimensions do not form a valid delta robot, see [`GeometryError`].
-    pub(super) fn new(geometry: &Geometry) -> Result<Self, GeometryError> {
+    pub(super) fn new(geometry: &DeltaGeometry) -> Result<Self, GeometryError> {
         let lengths = [
             geometry.base_radius_mm,
             geometry.upper_arm_mm,
@@ -85,10 +94,11 @@ impl Delta {
         }
         let (upper_arm_mm, forearm_mm) = (geometry.upper_arm_mm, geometry.forearm_mm);
         if !(upper_arm_mm > 0.0 && forearm_mm > upper_arm_mm) {
-            return Err(GeometryError::Lengths {
+            return Err(DeltaError::Lengths {
                 upper_arm_mm,
                 forearm_mm,
-            });
+            }
+            .into());
         }
         let [low_rad, high_rad] = geometry.arm_range_rad;
         if low_rad >= high_rad {
@@ -97,7 +107,7 @@ impl Delta {
         let [first, second, third] = geometry.arm_azimuths_deg;
         for (first_deg, second_deg) in [(first, second), (second, third), (third, first)] {
             if libm::sin((second_deg - first_deg).to_radians()).abs() < AZIMUTH_SINE_MIN {
-                return Err(GeometryError::Azimuths { first_deg, second_deg });
+                return Err(DeltaError::Azimuths { first_deg, second_deg }.into());
             }
         }
         Ok(Self {
@@ -206,7 +216,7 @@ impl Delta {
         let point = Vector::from(*position);
         let poses = self.azimuths.map(|azimuth| self.arm_pose(azimuth, &point));
         let mut ratio = (0, f64::INFINITY);
-        let mut change = Change::default();
+        let (mut change, mut angle_change) = (Change::default(), 0.0_f64);
         let mut units = [[0.0; 3]; ARMS];
         for (arm, ((pose, azimuth), unit)) in (0u8..).zip(poses.iter().zip(&self.azimuths).zip(&mut units)) {
             let signed = if pose.ratio_squared < 0.0 {
@@ -218,7 +228,7 @@ impl Delta {
                 ratio = (arm, signed);
             }
             let of_arm = self.change(pose, signed);
-            change.angle = change.angle.max(of_arm.angle);
+            angle_change = angle_change.max(of_arm.angle);
             change.ratio = change.ratio.max(of_arm.ratio);
             change.determinant += of_arm.determinant;
             let (cosine, sine) = *azimuth;
@@ -228,6 +238,7 @@ impl Delta {
                 1.0 / self.forearm_mm,
             );
         }
+        change.angles = [angle_change; ARMS];
         Conditioning {
             ratio,
             determinant: dot(&units[0], &cross(&units[1], &units[2])).abs(),
@@ -237,10 +248,10 @@ impl Delta {
 
     /// Whether every arm's angle is in its range and the singularities are at least [`CONDITIONING_MIN`] away. Costs a
     /// fifth of [`Delta::inverse`] and [`Delta::conditioning`], which also give the reason.
-    pub(super) fn clears(&self, point: &Vector, ranges: &[AngleRange; ARMS]) -> bool {
+    pub(super) fn clears(&self, point: &Vector, ranges: &JointRanges) -> bool {
         let ConditioningMin { ratio, determinant } = CONDITIONING_MIN;
         let mut forearms = [[0.0; 3]; ARMS];
-        for (((cosine, sine), range), forearm) in self.azimuths.iter().zip(ranges).zip(&mut forearms) {
+        for (((cosine, sine), range), forearm) in self.azimuths.iter().zip(&ranges.turned).zip(&mut forearms) {
             let pose = self.arm_pose((*cosine, *sine), point);
             let clear = pose.ratio_squared >= ratio * ratio && range.contains(pose.cosine, pose.sine);
             if !clear {
@@ -257,9 +268,9 @@ impl Delta {
     /// An arm's bounds. The angle's gradient is f / g with |f| the forearm's length and g = La D; the ratio is the sine
     /// of the angle whose cosine is K/A, with the gradients (u, y, w) / La of K and 1 of A; and a forearm's unit vector
     /// turns no faster than its two ends move apart.
-    fn change(&self, pose: &ArmPose, ratio: f64) -> Change {
+    fn change(&self, pose: &ArmPose, ratio: f64) -> ArmChange {
         if ratio < RATIO_SINGULAR {
-            return Change {
+            return ArmChange {
                 angle: f64::INFINITY,
                 ratio: f64::INFINITY,
                 determinant: f64::INFINITY,
@@ -270,7 +281,7 @@ impl Delta {
         let height = ratio * distance;
         let whole = root(pose.distance_squared + across * across);
         let cosine = root(1.0 - ratio * ratio);
-        Change {
+        ArmChange {
             angle: self.forearm_mm / (self.upper_arm_mm * height),
             ratio: cosine / ratio * (whole / self.upper_arm_mm + cosine) / distance,
             determinant: 1.0 / self.forearm_mm + 1.0 / height,
@@ -296,39 +307,10 @@ impl Delta {
             ]
         };
         let [one, two, three] = self.azimuths;
-        let origin = centre(one, first);
-        let (to_second, to_third) = (
-            subtract(&centre(two, second), &origin),
-            subtract(&centre(three, third), &origin),
-        );
-        let side = length(&to_second);
-        let x_axis = scale(&to_second, 1.0 / side);
-        let along = dot(&x_axis, &to_third);
-        let across = add_scaled(&to_third, &x_axis, -along);
-        let height = length(&across);
-        let y_axis = scale(&across, 1.0 / height);
-        let z_axis = cross(&x_axis, &y_axis);
-        let x = 0.5 * side;
-        let y = (along * along + height * height - 2.0 * along * x) / (2.0 * height);
-        let depth_squared = self.forearm_mm * self.forearm_mm - x * x - y * y;
-        if !(depth_squared >= 0.0 && depth_squared.is_finite()) {
-            return Err(KinematicsError::Apart);
-        }
-        let depth = if z_axis[2] > 0.0 {
-            -root(depth_squared)
-        } else {
-            root(depth_squared)
-        };
-        let point = add_scaled(
-            &add_scaled(&add_scaled(&origin, &x_axis, x), &y_axis, y),
-            &z_axis,
-            depth,
-        );
-        if point.iter().all(|value| value.is_finite()) {
-            Ok(point.into())
-        } else {
-            Err(KinematicsError::Apart)
-        }
+        let centres = [centre(one, first), centre(two, second), centre(three, third)];
+        lower_meeting(&centres, self.forearm_mm)
+            .map(Position::from)
+            .ok_or(KinematicsError::Apart)
     }
 }
 
@@ -346,7 +328,7 @@ mod tests {
     use crate::robots::AXES;
 
     fn robot() -> Delta {
-        Delta::new(&Geometry::default()).unwrap()
+        Delta::new(&DeltaGeometry::default()).unwrap()
     }
 
     fn positions() -> impl Iterator<Item = Position> {
@@ -488,19 +470,19 @@ mod tests {
 
     #[test]
     fn dimensions_that_do_not_form_a_robot_are_refused() {
-        let refuse = |change: fn(&mut Geometry)| {
-            let mut geometry = Geometry::default();
+        let refuse = |change: fn(&mut DeltaGeometry)| {
+            let mut geometry = DeltaGeometry::default();
             change(&mut geometry);
             Delta::new(&geometry).unwrap_err()
         };
         assert_eq!(refuse(|g| g.forearm_mm = f64::NAN), GeometryError::NotFinite);
         assert!(matches!(
             refuse(|g| g.forearm_mm = 300.0),
-            GeometryError::Lengths { .. }
+            GeometryError::Delta(DeltaError::Lengths { .. })
         ));
         assert!(matches!(
             refuse(|g| g.arm_azimuths_deg = [0.0, 120.0, 120.0]),
-            GeometryError::Azimuths { .. }
+            GeometryError::Delta(DeltaError::Azimuths { .. })
         ));
         assert!(matches!(
             refuse(|g| g.arm_range_rad = [1.0, -1.0]),
