@@ -5,10 +5,9 @@
 
 use crate::error::{ProgramError, code};
 use etherpen::robots::{
-    Conditioning, Geometry, JointAngles, Kinematics, KinematicsError, MAIN_AXES, Measured, Position, RATIO_SINGULAR,
+    Conditioning, DeltaGeometry, Geometry, JointAngles, Kinematics, KinematicsError, MAIN_AXES, Measured, Position, RATIO_SINGULAR,
 };
 use serde::Serialize;
-use std::f64::consts::PI;
 
 /// Determinant of [`Conditioning`] below which a pose is singular.
 const DETERMINANT_SINGULAR: f64 = 1.0e-9;
@@ -38,16 +37,26 @@ impl Robot {
     pub fn parse(text: &str) -> Result<Self, String> {
         let measured: Measured = toml::from_str(text).map_err(|cause| cause.to_string())?;
         let geometry = measured.geometry().map_err(|cause| cause.to_string())?;
-        Self::new(geometry, measured.range_rad())
+        let Some(arm_range_rad) = measured.range_rad() else {
+            return Self::new(Geometry::Delta(geometry));
+        };
+        let geometry = Geometry::Delta(DeltaGeometry {
+            arm_range_rad,
+            ..geometry
+        });
+        Self::of(&geometry, Some(arm_range_rad))
     }
 
-    /// A robot with a geometry; its own range of the joints is not checked, but `range_rad` is.
+    /// A robot with a geometry; its ranges of the joints are not checked.
     ///
     /// # Errors
     /// Why the dimensions do not form a valid robot.
-    pub fn new(geometry: Geometry, range_rad: Option<[f64; 2]>) -> Result<Self, String> {
-        let every_angle = [-PI, PI];
-        let kinematics = Kinematics::new(&geometry.with_range(range_rad.unwrap_or(every_angle)))
+    pub fn new(geometry: Geometry) -> Result<Self, String> {
+        Self::of(&geometry.without_ranges(), None)
+    }
+
+    fn of(geometry: &Geometry, range_rad: Option<[f64; 2]>) -> Result<Self, String> {
+        let kinematics = Kinematics::new(geometry)
             .map_err(|cause| format!("the dimensions do not form a valid robot: {cause}"))?;
         Ok(Self { kinematics, range_rad })
     }
@@ -183,7 +192,7 @@ mod tests {
 
     #[test]
     fn positions_come_back_through_the_angles() {
-        let robot = Robot::new(Geometry::default(), None).unwrap();
+        let robot = Robot::new(Geometry::default()).unwrap();
         for position_mm in [[-10.0, 0.0, -800.0], [300.5, -200.25, -850.125], [0.0, 0.0, -750.0]] {
             let joints = robot.inverse(position_mm).unwrap().joints_rad;
             let back = robot.forward(joints).unwrap().position_mm;
@@ -206,7 +215,7 @@ mod tests {
 
     #[test]
     fn a_position_without_an_answer_names_the_joint_and_the_reason() {
-        let robot = Robot::new(Geometry::default(), None).unwrap();
+        let robot = Robot::new(Geometry::default()).unwrap();
         let message = |position_mm| robot.inverse(position_mm).unwrap_err().message;
         assert_eq!(message([-1500.0, 0.0, -800.0]), "unreachable: arm 1 does not reach it");
         assert!(message([0.0, f64::NAN, -800.0]).starts_with("y is NaN"));

@@ -4,7 +4,7 @@
 
 use super::pen_lift::PEN_BOUNDS;
 use super::{Axis, Bus, Config, Transport};
-use crate::robots::{AXES, MAIN_AXES};
+use crate::robots::{AXES, Kind, MAIN_AXES};
 use etherpen_motion::Settings;
 use etherpen_motion::settings::{Bound, Violation, bound, first_violation};
 use serde::{Deserialize, Serialize};
@@ -17,14 +17,19 @@ pub struct Field {
     pub row: u8,
     /// Axis, from 0, for values of [`Axis`].
     pub axis: Option<u8>,
+    /// Kind of the configured robot, which names the rows of the dimensions.
+    pub kind: Kind,
 }
 
 impl Field {
     /// The value's name as used in `etherpen.toml`.
     pub fn name(&self) -> &'static str {
-        let config = Config::default();
+        let config = Config {
+            geometry: self.kind.geometry(),
+            ..Config::default()
+        };
         let scalars = config.scalars();
-        let axis = config.axes[0].scalars(0.0);
+        let axis = config.axes[0].scalars(0.0, config.geometry.joint_limits_max());
         let row = usize::from(self.row);
         match self.axis {
             None => scalars.get(row).map_or("unknown", |bound| bound.name),
@@ -96,7 +101,9 @@ impl Axis {
         libm::ceil(needed * 100.0) / 100.0
     }
 
-    fn scalars(&self, joint_speed_rad_s: f64) -> [Bound; AXIS_BOUNDS] {
+    /// Bounds of the values; `limits_max` are the kind's highest joint speed, rad/s, and acceleration, rad/s2.
+    fn scalars(&self, joint_speed_rad_s: f64, limits_max: (f64, f64)) -> [Bound; AXIS_BOUNDS] {
+        let (speed_max, acceleration_max) = limits_max;
         let [vendor, product, revision, alias, switch, serial] = self.identity_bounds(None);
         [
             vendor,
@@ -141,14 +148,14 @@ impl Axis {
                 "axes.feedback_acceleration_max_rad_s2",
                 self.feedback_acceleration_max_rad_s2,
                 100.0,
-                10_000.0,
+                5.0 * acceleration_max,
             ),
-            bound("axes.output_max_rad_s", self.output_max_rad_s, 0.01, 100.0),
+            bound("axes.output_max_rad_s", self.output_max_rad_s, 0.01, 2.0 * speed_max),
             bound(
                 "axes.quick_stop_rad_s2",
                 self.quick_stop_rad_s2,
                 self.quick_stop_min_rad_s2(joint_speed_rad_s).max(1.0),
-                2000.0,
+                acceleration_max,
             ),
             bound("axes.torque_constant_nm_a", self.torque_constant_nm_a, 0.001, 100.0),
             bound("axes.peak_current_a", self.peak_current_a, 0.01, 1000.0),
@@ -186,11 +193,12 @@ impl Config {
     /// # Errors
     /// The first value that is not finite or outside its bounds, with the bounds.
     pub fn check(&self) -> Result<(), ConfigError> {
-        check_rows(&self.scalars(), None)?;
+        let (kind, limits_max) = (self.geometry.kind(), self.geometry.joint_limits_max());
+        check_rows(&self.scalars(), None, kind)?;
         for (axis, (values, speed_rad_s)) in (0u8..).zip(self.axes.iter().zip(self.motion.joint_speed_rad_s)) {
-            check_rows(&values.scalars(speed_rad_s), Some(axis))?;
+            check_rows(&values.scalars(speed_rad_s, limits_max), Some(axis), kind)?;
             for other in self.axes.iter().take(axis.into()) {
-                check_rows(&values.identity_bounds(Some(other)), Some(axis))?;
+                check_rows(&values.identity_bounds(Some(other)), Some(axis), kind)?;
             }
         }
         Ok(())
@@ -233,9 +241,9 @@ impl Bus {
     }
 }
 
-fn check_rows(rows: &[Bound], axis: Option<u8>) -> Result<(), ConfigError> {
+fn check_rows(rows: &[Bound], axis: Option<u8>, kind: Kind) -> Result<(), ConfigError> {
     first_violation(rows).map_err(|Violation { row, bound }| ConfigError {
-        field: Field { row, axis },
+        field: Field { row, axis, kind },
         value: bound.value,
         low: bound.low,
         high: bound.high,

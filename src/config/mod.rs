@@ -13,7 +13,7 @@ mod pen_lift;
 pub use axis::{Axis, AxisMode};
 pub use bounds::{ConfigError, Field, QUICK_STOP_MAX_MS};
 pub use bus::{AddressError, Bus, HostAddress, NetworkSettings, Transport};
-pub use etherpen_motion::settings::{Geometry, MotionLimits, Orientation, Paper, WorkCylinder};
+pub use etherpen_motion::settings::{Geometry, MotionLimits, Orientation, Paper, WorkVolume};
 pub use io::{
     IO_MAX, IO_NAME_MAX, IoDirection, IoError, IoName, IoPoint, IoPoints, IoRole, IoType, ObjectName, OnFault,
 };
@@ -37,7 +37,7 @@ pub struct Config {
     /// Shape of the robot.
     pub geometry: Geometry,
     /// Space the robot may use.
-    pub work_area: WorkCylinder,
+    pub work_area: WorkVolume,
     /// Paper and pen.
     pub paper: Paper,
     /// How the pen is lowered and lifted.
@@ -71,7 +71,7 @@ impl Default for Config {
         };
         Self {
             geometry: Geometry::default(),
-            work_area: WorkCylinder::default(),
+            work_area: WorkVolume::default(),
             paper: Paper::default(),
             pen: PenLift::default(),
             motion: MotionLimits::default(),

@@ -25,7 +25,7 @@ use etherpen::application::{Fault, Mode, Refusal, StopSource};
 use etherpen::config::Config;
 use etherpen::messages::{Command, ConfigRefusal, PathVertex};
 use etherpen::motion::{Pen, RefusalReason};
-use etherpen::robots::Position;
+use etherpen::robots::{DeltaGeometry, Geometry, Position};
 use host_tools::cell::{AlState, DriveState, Fault as CellFault, ResolverFault};
 use robot::{Robot, path};
 
@@ -476,7 +476,10 @@ fn a_configuration_is_needed_checked_and_kept() {
     assert!(matches!(robot.configured[0], Err(ConfigRefusal::Bounds(error)) if error.field.axis == Some(3)));
     assert_eq!(robot.command(Command::Enable), Err(Refusal::NotConfigured));
     let mut flat = Config::default();
-    flat.geometry.arm_azimuths_deg = [0.0, 0.0, 240.0];
+    flat.geometry = Geometry::Delta(DeltaGeometry {
+        arm_azimuths_deg: [0.0, 0.0, 240.0],
+        ..DeltaGeometry::default()
+    });
     robot.configure(&flat);
     assert!(
         matches!(robot.configured[1], Err(ConfigRefusal::Geometry(_))),

@@ -230,7 +230,7 @@ pub(crate) fn check_way_in(area: &WorkArea, from: &Position, to: &Position) -> R
 mod tests {
     use super::*;
     use crate::Pen;
-    use crate::robots::Kinematics;
+    use crate::robots::{DeltaGeometry, Geometry, Kinematics};
 
     fn vertex(x_mm: f64, y_mm: f64, z_mm: f64) -> Vertex {
         Vertex {
@@ -257,7 +257,10 @@ mod tests {
     fn a_leg_that_winds_the_fourth_axis_out_of_its_range_is_refused() {
         let mut settings = Settings::default();
         settings.motion.orientation = Orientation::Path;
-        settings.geometry.turn_range_rad = [-7.0, 10.0];
+        settings.geometry = Geometry::Delta(DeltaGeometry {
+            turn_range_rad: [-7.0, 10.0],
+            ..DeltaGeometry::default()
+        });
         let square = [(0.0, 0.0), (10.0, 0.0), (10.0, 10.0), (0.0, 10.0)];
         let corner = |index: u32, left: bool| {
             let (x, y) = square[index as usize % 4];
@@ -307,8 +310,12 @@ mod tests {
     fn a_leg_that_leaves_the_work_area_between_its_ends_is_refused() {
         let mut settings = Settings::default();
         // Below the lowest elbow hangs a sphere that the platform cannot enter.
-        settings.geometry.arm_range_rad[0] = 0.0;
-        settings.geometry.arm_margin_rad = 0.2;
+        let defaults = DeltaGeometry::default();
+        settings.geometry = Geometry::Delta(DeltaGeometry {
+            arm_range_rad: [0.0, defaults.arm_range_rad[1]],
+            arm_margin_rad: 0.2,
+            ..defaults
+        });
         settings.paper.pressing_depth_mm = 10.0;
         let mut admission = Admission::new(&settings).unwrap();
         assert_eq!(admission.check(0, &vertex(400.0, -150.0, -856.0)), Ok(()));

@@ -37,6 +37,7 @@ use etherpen::config::Config;
 use generate::Profile;
 use operator::Operator;
 use serde::Serialize;
+pub use robot::robot as monitored;
 pub use shrink::shrink;
 use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};

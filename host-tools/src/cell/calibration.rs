@@ -7,7 +7,7 @@
 use super::physics::Calibration;
 use crate::random::Random;
 use etherpen::config::{Geometry, Paper};
-use etherpen::robots::{AXES, JointAngles, Kinematics, MAIN_AXES, Position};
+use etherpen::robots::{AXES, DeltaGeometry, JointAngles, Kinematics, MAIN_AXES, Position};
 
 /// Gives the signs of the errors random numbers of their own.
 const SIGN_SEED: u64 = 0xCA11_B8A7;
@@ -19,7 +19,7 @@ const GRID: i32 = 5;
 pub(super) struct Residues {
     /// True less believed joint angle, rad.
     pub(super) sync_rad: [f64; AXES],
-    /// The true mechanism; `None` if its dimensions are the configured ones.
+    /// The true mechanism; `None` if its dimensions are the configured ones, as those of any kind but the delta are.
     pub(super) mechanism: Option<TrueDelta>,
 }
 
@@ -29,18 +29,21 @@ impl Residues {
         let mut random = Random::new(seed ^ SIGN_SEED);
         let mut signed = |size: f64| if random.unit() < 0.5 { -size } else { size };
         let sync_rad = [(); AXES].map(|()| signed(calibration.sync_mrad / 1000.0));
-        let mut arms = TrueDelta::new(geometry).arms;
-        for arm in &mut arms {
-            arm.offset_mm += signed(calibration.length_mm);
-            arm.upper_arm_mm += signed(calibration.length_mm);
-            arm.forearm_mm += signed(calibration.length_mm);
-            arm.azimuth_rad += signed(calibration.azimuth_mrad / 1000.0);
-        }
         let differs = calibration.length_mm > 0.0 || calibration.azimuth_mrad > 0.0;
-        Self {
-            sync_rad,
-            mechanism: differs.then_some(TrueDelta { arms }),
-        }
+        let mechanism = match geometry {
+            Geometry::Delta(dimensions) if differs => {
+                let mut arms = TrueDelta::new(dimensions).arms;
+                for arm in &mut arms {
+                    arm.offset_mm += signed(calibration.length_mm);
+                    arm.upper_arm_mm += signed(calibration.length_mm);
+                    arm.forearm_mm += signed(calibration.length_mm);
+                    arm.azimuth_rad += signed(calibration.azimuth_mrad / 1000.0);
+                }
+                Some(TrueDelta { arms })
+            }
+            _ => None,
+        };
+        Self { sync_rad, mechanism }
     }
 }
 
@@ -62,7 +65,7 @@ pub(super) struct TrueDelta {
 
 impl TrueDelta {
     /// A robot with exactly these dimensions.
-    pub(super) fn new(geometry: &Geometry) -> Self {
+    pub(super) fn new(geometry: &DeltaGeometry) -> Self {
         Self {
             arms: geometry.arm_azimuths_deg.map(|azimuth_deg| Arm {
                 azimuth_rad: azimuth_deg.to_radians(),
@@ -146,7 +149,6 @@ impl Placing {
     /// The paper under a robot with these errors; `None` if the robot does not reach all of the sheet.
     pub(super) fn new(geometry: &Geometry, paper: &Paper, residues: &Residues) -> Option<Self> {
         let believed = Kinematics::new(geometry).ok()?;
-        let truth = residues.mechanism.unwrap_or(TrueDelta::new(geometry));
         let mut pairs = Vec::new();
         for (row, column) in (0..GRID * GRID).map(|point| (point / GRID - GRID / 2, point % GRID - GRID / 2)) {
             let offset_mm = [column, row].map(|place| f64::from(place) / f64::from(GRID - 1));
@@ -161,7 +163,11 @@ impl Placing {
             for ((joint, angle_rad), sync_rad) in joints.iter_mut().zip(angles).zip(residues.sync_rad) {
                 *joint = angle_rad + sync_rad;
             }
-            let actual = truth.forward(&JointAngles(joints))?;
+            let joints = JointAngles(joints);
+            let actual = match &residues.mechanism {
+                Some(truth) => truth.forward(&joints),
+                None => believed.forward(&joints).ok(),
+            }?;
             let error_mm = [
                 actual.x_mm - intended.x_mm,
                 actual.y_mm - intended.y_mm,
@@ -221,7 +227,7 @@ mod tests {
     #[test]
     fn a_robot_without_errors_stands_where_the_controller_computes() {
         let geometry = Geometry::default();
-        let (truth, believed) = (TrueDelta::new(&geometry), Kinematics::new(&geometry).expect("valid"));
+        let (truth, believed) = (TrueDelta::new(&DeltaGeometry::default()), Kinematics::new(&geometry).expect("valid"));
         for (a, b, c) in [(0.3, 0.3, 0.3), (0.9, 0.1, -0.2), (0.0, 1.2, 0.5)] {
             let joints = JointAngles([a, b, c, 0.0]);
             let expected = believed.forward(&joints).expect("a pose");
@@ -235,9 +241,9 @@ mod tests {
 
     #[test]
     fn forearms_that_do_not_meet_hold_no_platform() {
-        let short = Geometry {
+        let short = DeltaGeometry {
             forearm_mm: 100.0,
-            ..Geometry::default()
+            ..DeltaGeometry::default()
         };
         assert_eq!(TrueDelta::new(&short).forward(&JointAngles([0.3; AXES])), None);
     }
@@ -249,7 +255,7 @@ mod tests {
         let residues = Residues::new(&geometry, &calibration, 1);
         assert!(residues.sync_rad.iter().all(|rad| rad.abs() == 0.002));
         let truth = residues.mechanism.expect("errors");
-        for (arm, ideal) in truth.arms.iter().zip(TrueDelta::new(&geometry).arms) {
+        for (arm, ideal) in truth.arms.iter().zip(TrueDelta::new(&DeltaGeometry::default()).arms) {
             for error_mm in [
                 arm.offset_mm - ideal.offset_mm,
                 arm.upper_arm_mm - ideal.upper_arm_mm,

@@ -64,6 +64,7 @@ mod tests {
     use super::*;
     use crate::cell::{Cell, CellOptions, DriveState};
     use etherpen::config::{Config, Geometry};
+    use etherpen::robots::DeltaGeometry;
     use etherpen_segment::rig::Rig;
 
     #[test]
@@ -87,10 +88,10 @@ mod tests {
     fn joints_that_no_platform_connects_are_counted() {
         let mut robot = Robot::new(Mechanism::new(&Geometry::default()));
         assert!(robot.step(&JointAngles([0.3; 4])).is_some());
-        let geometry = Geometry {
+        let geometry = Geometry::Delta(DeltaGeometry {
             forearm_mm: 200.0,
-            ..Geometry::default()
-        };
+            ..DeltaGeometry::default()
+        });
         let mut short = Robot::new(Mechanism::new(&geometry));
         assert_eq!((short.step(&JointAngles([-0.7; 4])), short.unreachable_ms()), (None, 1));
     }

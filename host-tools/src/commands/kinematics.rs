@@ -93,7 +93,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
 
 fn robot(options: &Options) -> Result<Robot, ProgramError> {
     match &options.geometry {
-        None => Robot::new(Geometry::default(), None),
+        None => Robot::new(Geometry::default()),
         Some(path) => std::fs::read_to_string(path)
             .map_err(|cause| format!("it cannot be read: {cause}"))
             .and_then(|text| Robot::parse(&text)),

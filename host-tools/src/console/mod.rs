@@ -52,7 +52,7 @@ struct RobotView<'a> {
     port: String,
     geometry: &'a etherpen::config::Geometry,
     paper: &'a etherpen::config::Paper,
-    work_area: &'a etherpen::config::WorkCylinder,
+    work_area: &'a etherpen::config::WorkVolume,
     signals: Vec<signals::PlotSignal>,
     /// Styles available for photographs.
     styles: Vec<String>,

@@ -193,6 +193,15 @@ pub fn outside(outside: &Outside) -> String {
             "{noun} {} would be at {angle_rad:.3} rad (allowed {low_rad:.3} to {high_rad:.3} rad)",
             one(joint)
         ),
+        Outside::InnerRadius { radius_mm, limit_mm } => {
+            format!("it is only {radius_mm:.1} mm from the robot's axis (at least {limit_mm:.1} mm)")
+        }
+        Outside::X { x_mm, low_mm, high_mm } => {
+            format!("its x is {x_mm:.1} mm (allowed {low_mm:.1} to {high_mm:.1} mm)")
+        }
+        Outside::Y { y_mm, low_mm, high_mm } => {
+            format!("its y is {y_mm:.1} mm (allowed {low_mm:.1} to {high_mm:.1} mm)")
+        }
         Outside::Flat { .. } => format!("the {} would lie in a plane", words.last_links),
         Outside::Paper { z_mm, low_mm } => {
             format!("at {z_mm:.1} mm the pen would press too deep into the paper (allowed down to {low_mm:.1} mm)")

@@ -90,7 +90,7 @@ impl Witness {
         let points = path.iter().map(|vertex| vertex.position.into());
         let limits = limits(config, trajectory.jerk_window_ms(), excess);
         Ok(Self {
-            certifier: Certifier::new(robot(config), limits, points.collect()),
+            certifier: Certifier::new(robot(config)?, limits, points.collect()),
             excess,
             ticks: 0,
         })
@@ -129,7 +129,7 @@ fn limits(config: &Config, window_ms: u16, excess: f64) -> Limits {
     let (motion, geometry) = (&config.motion, &config.geometry);
     let [a, b, c] = geometry.ranges_rad();
     Limits {
-        range_rad: [a, b, c, geometry.turn_range_rad],
+        range_rad: [a, b, c, geometry.turn_range_rad()],
         joint_speed_rad_s: motion.joint_speed_rad_s,
         joint_acceleration_rad_s2: motion.joint_acceleration_rad_s2,
         speed_mm_s: motion.speed_mm_s,

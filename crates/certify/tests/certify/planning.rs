@@ -2,7 +2,7 @@
 
 use etherpen_certify::robot::Dimensions;
 use etherpen_certify::{Certificate, Certifier, Limits, Robot, Stretch};
-use etherpen_motion::robots::{JointAngles, Kinematics};
+use etherpen_motion::robots::{Geometry, JointAngles, Kinematics};
 use etherpen_motion::{MotionCommand, MotionState, Observer, Passage, Pen, Settings, Trajectory, Vertex};
 
 /// Excess over a limit that the planner's own tests allow.
@@ -42,7 +42,9 @@ impl Observer for Feed {
 
 /// The robot of some settings.
 pub(crate) fn robot(settings: &Settings) -> Robot {
-    let geometry = &settings.geometry;
+    let Geometry::Delta(geometry) = &settings.geometry else {
+        panic!("{:?}", settings.geometry.kind());
+    };
     Robot::new(&Dimensions {
         base_radius_mm: geometry.base_radius_mm,
         upper_arm_mm: geometry.upper_arm_mm,
@@ -57,7 +59,7 @@ pub(crate) fn limits(settings: &Settings, window_ms: u16, excess: f64) -> Limits
     let motion = &settings.motion;
     let [a, b, c] = settings.geometry.ranges_rad();
     Limits {
-        range_rad: [a, b, c, settings.geometry.turn_range_rad],
+        range_rad: [a, b, c, settings.geometry.turn_range_rad()],
         joint_speed_rad_s: motion.joint_speed_rad_s,
         joint_acceleration_rad_s2: motion.joint_acceleration_rad_s2,
         speed_mm_s: motion.speed_mm_s,

@@ -1,15 +1,13 @@
 //! The delta robot: three arms, three forearms, one platform.
 //!
 //! The centre of the platform is one forearm away from each of three points: the elbows, moved inwards by the
-//! platform's radius. It is therefore where three equal spheres meet, below the plane through their centres. The foot
-//! of the perpendicular from there to the plane is the centre of the circle through the three points.
+//! platform's radius. It is therefore where three equal spheres meet, below the plane through their centres.
 
-use crate::vector::{Vector, add, cross, dot, is_finite, scale, subtract};
+use super::spheres::below;
+use crate::vector::Vector;
 
 /// Number of arms.
 const ARMS: usize = super::MAIN_AXES;
-/// Smallest squared area of the triangle of the sphere centres, mm4: below it they lie on a line.
-const AREA_SQUARED_MIN_MM4: f64 = 1.0;
 /// Part of the upper arm's length by which the platform moves at least when an arm turns by a radian and the other two
 /// follow. In a work area the angle between an arm and its forearm has a sine of at least 0.35, and the forearm leans
 /// sideways by less than 44 degrees, cosine 0.72.
@@ -17,7 +15,7 @@ const LEVER_PART_MIN: f64 = 0.25;
 
 /// Dimensions of a delta robot with equal arms.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Dimensions {
+pub struct DeltaDimensions {
     /// Centre of the base to the shoulder axes, mm.
     pub base_radius_mm: f64,
     /// Length of an upper arm, mm.
@@ -30,7 +28,7 @@ pub struct Dimensions {
     pub azimuths_deg: [f64; ARMS],
 }
 
-impl Default for Dimensions {
+impl Default for DeltaDimensions {
     /// The IRB 340, as the default configuration describes it.
     fn default() -> Self {
         Self {
@@ -55,7 +53,7 @@ pub struct Delta {
 impl Delta {
     /// A delta robot of these dimensions. Dimensions that are no robot have no tool position.
     #[must_use]
-    pub fn new(dimensions: &Dimensions) -> Self {
+    pub fn new(dimensions: &DeltaDimensions) -> Self {
         Self {
             outwards: dimensions.azimuths_deg.map(|azimuth_deg| {
                 let (sine, cosine) = azimuth_deg.to_radians().sin_cos();
@@ -83,24 +81,7 @@ impl Delta {
     #[must_use]
     #[inline]
     pub fn tool(&self, arms_rad: [f64; ARMS]) -> Option<Vector> {
-        let [first, second, third] = self.centres(arms_rad);
-        let (a, b) = (subtract(second, first), subtract(third, first));
-        let normal = cross(a, b);
-        let normal_squared = dot(normal, normal);
-        if normal_squared.is_nan() || normal_squared < AREA_SQUARED_MIN_MM4 {
-            return None;
-        }
-        let (a_squared, b_squared) = (dot(a, a), dot(b, b));
-        let towards = add(scale(cross(b, normal), a_squared), scale(cross(normal, a), b_squared));
-        let foot = scale(towards, 0.5 / normal_squared);
-        let height_squared = self.forearm_squared - dot(foot, foot);
-        if height_squared.is_nan() || height_squared < 0.0 {
-            return None;
-        }
-        let height = (height_squared / normal_squared).sqrt();
-        let downwards = if normal[2] > 0.0 { -height } else { height };
-        let tool = add(first, add(foot, scale(normal, downwards)));
-        is_finite(&tool).then_some(tool)
+        below(self.centres(arms_rad), self.forearm_squared)
     }
 
     /// Largest change of an arm's angle for a millimetre of the platform, rad/mm.
@@ -113,7 +94,7 @@ impl Delta {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::vector::length;
+    use crate::vector::{add, is_finite, length, scale, subtract};
     use proptest::prelude::*;
 
     proptest! {
@@ -123,7 +104,7 @@ mod tests {
             azimuths in proptest::array::uniform3(-10.0_f64..10.0),
         ) {
             let turned = [azimuths[0], 120.0 + azimuths[1], 240.0 + azimuths[2]];
-            let dimensions = Dimensions { azimuths_deg: turned, ..Dimensions::default() };
+            let dimensions = DeltaDimensions { azimuths_deg: turned, ..DeltaDimensions::default() };
             let delta = Delta::new(&dimensions);
             if let Some(tool) = delta.tool(arms) {
                 for (angle, azimuth_deg) in arms.iter().zip(turned) {
@@ -141,14 +122,14 @@ mod tests {
 
         #[test]
         fn no_angles_panic(arms in proptest::array::uniform3(proptest::num::f64::ANY)) {
-            let tool = Delta::new(&Dimensions::default()).tool(arms);
+            let tool = Delta::new(&DeltaDimensions::default()).tool(arms);
             prop_assert!(tool.is_none_or(|tool| is_finite(&tool)));
         }
     }
 
     #[test]
     fn equal_angles_hold_the_platform_on_the_axis_at_the_height_that_pythagoras_gives() {
-        let delta = Delta::new(&Dimensions::default());
+        let delta = Delta::new(&DeltaDimensions::default());
         // Level arms: the forearm spans 505 mm sideways, and 620.46... mm downwards.
         let [x, y, z] = delta.tool([0.0; 3]).unwrap();
         assert!(x.abs() < 1e-9 && y.abs() < 1e-9, "{x} {y}");
@@ -161,7 +142,7 @@ mod tests {
 
     #[test]
     fn an_arm_that_sinks_pushes_the_platform_away_from_it() {
-        let delta = Delta::new(&Dimensions::default());
+        let delta = Delta::new(&DeltaDimensions::default());
         let before = delta.tool([0.4; 3]).unwrap();
         let after = delta.tool([0.5, 0.4, 0.4]).unwrap();
         assert!(after[0] < before[0] && after[2] < before[2], "{before:?} {after:?}");
@@ -170,14 +151,14 @@ mod tests {
 
     #[test]
     fn forearms_that_are_too_short_hold_nothing() {
-        let short = Dimensions {
+        let short = DeltaDimensions {
             forearm_mm: 300.0,
-            ..Dimensions::default()
+            ..DeltaDimensions::default()
         };
         assert_eq!(Delta::new(&short).tool([0.0; 3]), None);
-        let flat = Dimensions {
+        let flat = DeltaDimensions {
             azimuths_deg: [0.0; 3],
-            ..Dimensions::default()
+            ..DeltaDimensions::default()
         };
         assert_eq!(Delta::new(&flat).tool([0.0; 3]), None);
     }

@@ -3,7 +3,8 @@
 use super::super::plan::{GROWTH, POINTS};
 use super::*;
 use crate::WorkArea;
-use crate::settings::Orientation;
+use crate::robots::DeltaGeometry;
+use crate::settings::{Geometry, Orientation};
 
 fn down(x_mm: f64, y_mm: f64) -> Vertex {
     vertex([x_mm, y_mm, -850.0], Pen::Down, 0)
@@ -246,7 +247,12 @@ fn contradictory_limits_are_refused_by_name() {
         ("paper.pressing_depth_mm", |settings| {
             settings.paper.pressing_depth_mm = 200.0
         }),
-        ("geometry.forearm_mm", |settings| settings.geometry.forearm_mm = 300.0),
+        ("geometry.forearm_mm", |settings| {
+            settings.geometry = Geometry::Delta(DeltaGeometry {
+                forearm_mm: 300.0,
+                ..DeltaGeometry::default()
+            });
+        }),
     ];
     for (name, change) in contradictions {
         let mut settings = Settings::default();
@@ -254,8 +260,11 @@ fn contradictory_limits_are_refused_by_name() {
         assert_eq!(settings.check().unwrap_err().bound.name, name);
     }
     let mut settings = Settings::default();
-    settings.geometry.arm_range_rad = [0.0, 0.1];
-    settings.geometry.arm_margin_rad = 0.1;
+    settings.geometry = Geometry::Delta(DeltaGeometry {
+        arm_range_rad: [0.0, 0.1],
+        arm_margin_rad: 0.1,
+        ..DeltaGeometry::default()
+    });
     assert!(Trajectory::new(&settings).is_err());
 }
 

@@ -2,7 +2,7 @@
 
 use super::*;
 use crate::cell::physics::Physics;
-use etherpen::config::Geometry;
+use etherpen::robots::{DeltaGeometry, Geometry};
 use std::f64::consts::FRAC_PI_2;
 
 const POSE: MainAxes = [0.3, 0.5, 0.4];
@@ -23,10 +23,10 @@ fn whole() -> Mechanism {
 
 /// Three main axes that nothing couples; gravity vanishes where their links hang.
 fn uncoupled() -> Mechanism {
-    Mechanism::new(&Geometry {
+    Mechanism::new(&Geometry::Delta(DeltaGeometry {
         forearm_mm: 1.0,
-        ..Geometry::default()
-    })
+        ..DeltaGeometry::default()
+    }))
 }
 
 /// A robot whose motors have these torques.

@@ -6,8 +6,7 @@
 
 use super::{Equation, MainAxes, combine};
 use crate::cell::calibration::TrueDelta;
-use etherpen::config::Geometry;
-use etherpen::robots::{AXES, JointAngles, Kinematics, MAIN_AXES, Position};
+use etherpen::robots::{AXES, DeltaGeometry, Geometry, JointAngles, Kinematics, MAIN_AXES, Position};
 
 /// Number of arms, which are the main axes.
 const ARMS: usize = MAIN_AXES;
@@ -33,13 +32,23 @@ pub(in crate::cell) struct Delta {
 }
 
 impl Delta {
-    pub(super) fn new(geometry: &Geometry) -> Self {
+    pub(super) fn new(dimensions: &DeltaGeometry) -> Self {
+        let geometry = Geometry::Delta(*dimensions);
         Self {
-            kinematics: Kinematics::new(geometry).ok(),
+            kinematics: Kinematics::new(&geometry).ok(),
             differing: None,
             payload_kg: 0.0,
-            upper_arm_m: geometry.upper_arm_mm / 1000.0,
+            upper_arm_m: dimensions.upper_arm_mm / 1000.0,
             ranges_rad: geometry.ranges_rad(),
+        }
+    }
+
+    /// Arms that hold no platform, with the joints' ranges of another robot.
+    pub(super) fn without_tool(geometry: &Geometry) -> Self {
+        Self {
+            kinematics: None,
+            ranges_rad: geometry.ranges_rad(),
+            ..Self::new(&DeltaGeometry::default())
         }
     }
 
@@ -169,12 +178,13 @@ mod tests {
             ([0.0, 200.0, -850.0], [3.829, 5.221, 2.174], [5.185, 7.421, 2.561]),
             ([-250.0, -350.0, -800.0], [0.982, 1.765, 6.564], [0.925, 2.168, 9.744]),
         ];
-        let geometry = Geometry::default();
+        let dimensions = DeltaGeometry::default();
+        let geometry = Geometry::Delta(dimensions);
         let kinematics = Kinematics::new(&geometry).expect("valid");
         for ([x_mm, y_mm, z_mm], empty, loaded) in poses {
             let angles = kinematics.inverse(&Position { x_mm, y_mm, z_mm }).expect("reachable");
             for (payload_kg, expected) in [(0.0, empty), (1.0, loaded)] {
-                let delta = Delta::new(&geometry).with(payload_kg, None);
+                let delta = Delta::new(&dimensions).with(payload_kg, None);
                 let weight_nm = delta.equation(angles, [0.0; ARMS], [0.0; ARMS]).weight_nm;
                 for (weight_nm, expected) in weight_nm.iter().zip(expected) {
                     assert!(
@@ -189,7 +199,7 @@ mod tests {
     #[test]
     fn work_of_torque_and_weight_becomes_kinetic_energy_and_friction() {
         let dynamics = Dynamics::new(Mechanism::new(&Geometry::default()), Friction::default());
-        let delta = Delta::new(&Geometry::default());
+        let delta = Delta::new(&DeltaGeometry::default());
         let rotor = [0.03; MAIN_AXES];
         let (mut angles, mut speeds) = (ANGLES, [0.0; MAIN_AXES]);
         let torques = [4.0, -3.0, 2.0];

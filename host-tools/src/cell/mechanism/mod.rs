@@ -31,9 +31,12 @@ pub(super) enum Mechanism {
 }
 
 impl Mechanism {
-    /// The mechanism of these dimensions.
+    /// The mechanism of these dimensions; of a kind that has none here, one that holds no tool.
     pub(super) fn new(geometry: &Geometry) -> Self {
-        Self::Delta(Delta::new(geometry))
+        match geometry {
+            Geometry::Delta(dimensions) => Self::Delta(Delta::new(dimensions)),
+            _ => Self::Delta(Delta::without_tool(geometry)),
+        }
     }
 
     /// This mechanism with a load at its tool, kg, and with other dimensions than the configured ones.
