@@ -6,6 +6,7 @@
 //! Invariant: the written file is a valid configuration within its bounds; the file is replaced as a whole or not at
 //! all.
 
+pub mod machines;
 pub mod reading;
 
 use crate::error::{ProgramError, code};
@@ -103,7 +104,12 @@ pub fn load(path: Option<&Path>) -> Result<Config, ProgramError> {
             format!("the configuration {shown} cannot be read: {cause}"),
         )
     })?;
-    let config = reading::configuration(&text).map_err(|cause| {
+    checked(&text, &shown)
+}
+
+/// The configuration of a text, checked; `shown` names the text in messages.
+fn checked(text: &str, shown: &dyn std::fmt::Display) -> Result<Config, ProgramError> {
+    let config = reading::configuration(text).map_err(|cause| {
         ProgramError::new(
             code::USAGE,
             format!("the configuration {shown} is wrong:\n{}", shortened(&cause)),

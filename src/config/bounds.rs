@@ -3,7 +3,7 @@
 //! A bound that depends on another value expresses a relation between the two. A refusal names the value by its row.
 
 use super::pen_lift::PEN_BOUNDS;
-use super::{Axis, Bus, Config, Transport};
+use super::{Axis, Bus, Config, PenLiftKind, Transport};
 use crate::robots::{AXES, Kind, MAIN_AXES};
 use etherpen_motion::Settings;
 use etherpen_motion::settings::{Bound, Violation, bound, first_violation};
@@ -184,8 +184,18 @@ impl Config {
         let (pen, bus) = others.split_at_mut(PEN_BOUNDS);
         motion.copy_from_slice(&self.motion_settings().bounds());
         pen.copy_from_slice(&self.pen.bounds());
-        bus.copy_from_slice(&self.bus.bounds());
+        bus.copy_from_slice(&self.bus.bounds(self.drives_min()));
         rows
+    }
+
+    /// Fewest drives that the machine can have. The fourth axis may be missing; the third may be missing too where it is the
+    /// height and does not lift the pen.
+    fn drives_min(&self) -> usize {
+        let lifts_by_axis = self.pen.kind == PenLiftKind::Axis;
+        match self.geometry.kind() {
+            Kind::Gantry | Kind::CoreXy | Kind::Scara if !lifts_by_axis => MAIN_AXES - 1,
+            _ => MAIN_AXES,
+        }
     }
 
     /// Checks every value against its hard bounds.
@@ -206,11 +216,11 @@ impl Config {
 }
 
 impl Bus {
-    /// Hard bounds of the bus's values.
-    fn bounds(&self) -> [Bound; BUS_BOUNDS] {
+    /// Hard bounds of the bus's values; `drives_min` is the fewest drives that the machine can have.
+    fn bounds(&self, drives_min: usize) -> [Bound; BUS_BOUNDS] {
         let bus = self;
         [
-            bound("bus.drives", f64::from(bus.drives), MAIN_AXES as f64, AXES as f64),
+            bound("bus.drives", f64::from(bus.drives), drives_min as f64, AXES as f64),
             bound("bus.blind_max_ms", f64::from(bus.blind_max_ms), 1.0, BLIND_MAX_MS),
             bound("bus.late_max_per_s", f64::from(bus.late_max_per_s), 0.0, 1_000.0),
             bound("bus.host_silence_ms", f64::from(bus.host_silence_ms), 100.0, 10_000.0),

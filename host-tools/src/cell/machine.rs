@@ -6,11 +6,12 @@ use super::dynamics::Dynamics;
 use super::joint::{Gear, Joint};
 use super::mechanism::Mechanism;
 use super::paper::Sheet;
+use super::pen_lift::PenLift;
 use super::physics::{LoopKind, Physics};
 use super::robot::Robot;
 use super::vibration::Vibration;
 use etherpen::config::Config;
-use etherpen::robots::{AXES, JointAngles};
+use etherpen::robots::{AXES, JointAngles, LINEAR_MM_PER_RAD, MAIN_AXES, Position};
 use etherpen_segment::{Load, Shaft};
 
 /// Motion of the joints that only have a torque.
@@ -32,6 +33,20 @@ pub(super) struct Machine {
     vibration: Option<Vibration>,
     placing: Option<Placing>,
     pub(super) sheet: Sheet,
+    /// Where the axes are that the machine lacks.
+    resting: JointAngles,
+    pen_lift: Option<PenLift>,
+}
+
+/// The joints of the axes that a machine lacks: a missing height is that of the paper, with the pen down. The other joints
+/// are at 0.
+pub(super) fn resting(config: &Config) -> JointAngles {
+    let mut joints = JointAngles([0.0; AXES]);
+    if usize::from(config.bus.drives) < MAIN_AXES {
+        let [.., height, _] = &mut joints.0;
+        *height = config.paper.pen_down_z_mm / LINEAR_MM_PER_RAD;
+    }
+    joints
 }
 
 impl Machine {
@@ -56,6 +71,20 @@ impl Machine {
                 .then(|| Placing::new(&config.geometry, &config.paper, residues))
                 .flatten(),
             sheet: Sheet::new(config.paper),
+            resting: resting(config),
+            pen_lift: PenLift::new(config),
+        }
+    }
+
+    /// The joints of the axes that the machine lacks; the other joints are at 0.
+    pub(super) fn resting(&self) -> JointAngles {
+        self.resting
+    }
+
+    /// Switches the pen's output.
+    pub(super) fn lower_pen(&mut self, on: bool) {
+        if let Some(lift) = &mut self.pen_lift {
+            lift.switch(on);
         }
     }
 
@@ -110,18 +139,20 @@ impl Load for Machine {
         for (axis, joint) in joints.iter_mut().enumerate() {
             self.robot.limit(axis, joint);
         }
-        let mut angles = JointAngles([0.0; AXES]);
+        let mut angles = self.resting;
         for (angle, joint) in angles.0.iter_mut().zip(&joints) {
             *angle = joint.angle_rad();
         }
         self.behind_play(&mut angles.0, &mut [0.0; AXES]);
+        let lifted_mm = self.pen_lift.as_mut().map_or(0.0, PenLift::step);
         if let Some(platform) = self.robot.step(&angles) {
             let pen = match &mut self.vibration {
                 Some(vibration) => vibration.step(platform),
                 None => platform,
             };
             let pen = self.placing.map_or(pen, |placing| placing.on_paper(pen));
-            self.sheet.step(time_ms, pen);
+            let z_mm = pen.z_mm + lifted_mm;
+            self.sheet.step(time_ms, Position { z_mm, ..pen });
         }
     }
 }

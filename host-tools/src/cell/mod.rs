@@ -19,6 +19,7 @@ mod joint;
 mod machine;
 mod mechanism;
 mod paper;
+mod pen_lift;
 mod physics;
 mod robot;
 mod terminals;
@@ -44,9 +45,14 @@ use etherpen::robots::{AXES, JointAngles, JointVelocities, Position};
 use etherpen_segment::{Load, Segment, SegmentOptions};
 use joint::Gear;
 use machine::Machine;
+use pen_lift::PenOutput;
 use std::collections::BTreeMap;
+use std::f64::consts::TAU;
 pub(crate) use tuning::BRAKE_RAD_S2;
 use tuning::Commissioning;
+
+/// Largest distance of a motor from its synchronisation mark at the start, turns.
+const TURN_PART: f64 = 0.25;
 
 /// Options of the cell, beyond the configuration.
 #[derive(Clone, Debug)]
@@ -130,6 +136,8 @@ pub struct Truth {
 #[derive(Clone, Debug)]
 pub struct Cell {
     segment: Segment<Machine>,
+    /// The output that lowers the pen.
+    pen: Option<PenOutput>,
 }
 
 impl Cell {
@@ -146,7 +154,7 @@ impl Cell {
         let mut axes = config.axes.into_iter();
         let mut errors_rad = residues.sync_rad.into_iter();
         let (mut gears, mut drives) = (Vec::new(), Vec::new());
-        let mut joints = JointAngles([0.0; AXES]);
+        let mut joints = machine::resting(config);
         let mut angles = joints.0.iter_mut();
         for kind in &slaves {
             let axis = kind.is_drive().then(|| axes.next()).flatten().unwrap_or_default();
@@ -154,7 +162,9 @@ impl Cell {
             let gear = Gear::new(&axis, sync_rad);
             gears.push(gear);
             if kind.is_drive() {
-                let offset_rad = (2.0 * random.unit() - 1.0) * options.start_offset_max_rad;
+                // Near enough to the mark for the motor's turn to be known.
+                let most_rad = options.start_offset_max_rad.min(TURN_PART * TAU / axis.gear.abs());
+                let offset_rad = (2.0 * random.unit() - 1.0) * most_rad;
                 let angle_rad = gear.motor_rad(axis.sync_angle_rad + offset_rad);
                 angles
                     .next()
@@ -182,27 +192,42 @@ impl Cell {
                 segment.set_inputs(place + 1, &[contacts]);
             }
         }
-        Self { segment }
+        let pen = PenOutput::new(config);
+        Self { segment, pen }
+    }
+
+    /// Lowers or lifts the pen as its output says.
+    fn follow_pen(&mut self) {
+        let Some(pen) = self.pen else { return };
+        let is_on = self
+            .segment
+            .outputs(pen.slave)
+            .is_some_and(|outputs| pen.is_on(&outputs));
+        self.segment.load_mut().lower_pen(is_on);
     }
 
     /// Advances the time to `time_us` on the caller's clock; an earlier time than before does nothing.
     pub fn advance_to(&mut self, time_us: u64) {
+        self.follow_pen();
         self.segment.advance_to(time_us);
     }
 
     /// Passes an Ethernet frame through the segment at this time. Returns the replies in order: usually one, none for a
     /// lost or foreign frame, more if the script says so.
     pub fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        self.follow_pen();
         self.segment.frame(time_us, frame)
     }
 
     /// Passes a frame through the segment at a time in nanoseconds, which distributed clocks need; returns the replies.
     pub fn frame_at_ns(&mut self, time_ns: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        self.follow_pen();
         self.segment.frame_at_ns(time_ns, frame)
     }
 
     /// Passes the payload of EtherCAT in UDP, EtherCAT header and datagrams, through the segment; returns the replies.
     pub fn payload(&mut self, time_us: u64, payload: &[u8]) -> Vec<Vec<u8>> {
+        self.follow_pen();
         self.segment.payload(time_us, payload)
     }
 
@@ -258,6 +283,7 @@ impl Cell {
     pub fn truth(&self) -> Truth {
         let machine = self.segment.load();
         let mut truth = Truth {
+            angles_rad: machine.resting().0,
             pen_touches: machine.sheet.touching(),
             ..Truth::default()
         };

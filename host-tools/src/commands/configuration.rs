@@ -149,7 +149,7 @@ mod tests {
             port: OptionalPort {
                 port: "tcp:127.0.0.1:1".parse().ok(),
             },
-            config: ConfigArguments { config },
+            config: ConfigArguments { config, machine: None },
         };
         entries(&show).unwrap()
     }

@@ -38,6 +38,7 @@ use crate::cell::{CellChoice, Physics};
 use crate::drawing::preparation::source::SourceArguments;
 use crate::error::{ProgramError, code};
 use crate::settings::load;
+use crate::settings::machines::MachineChoice;
 use etherpen::config::Config;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::path::{Path, PathBuf};
@@ -50,6 +51,13 @@ pub struct ConfigArguments {
     /// Configuration file. Default: `etherpen.toml` in this folder, else the built-in IRB 340.
     #[arg(long, value_name = "FILE", env = "ETHERPEN_CONFIG")]
     pub config: Option<PathBuf>,
+    /// Machine: one of the bundled ones, or a configuration file.
+    #[arg(
+        long,
+        value_name = "irb340|gantry|corexy|scara|linear-delta|FILE",
+        conflicts_with = "config"
+    )]
+    pub machine: Option<MachineChoice>,
 }
 
 /// Option of every command that makes a virtual cell.
@@ -118,7 +126,11 @@ impl ConfigArguments {
     /// The configuration file in use, and how it was given; `None` for the built-in configuration.
     #[must_use]
     pub fn file(&self) -> Option<(PathBuf, &'static str)> {
-        configuration::named(self.config.as_ref())
+        match &self.machine {
+            Some(MachineChoice::Bundled(_)) => None,
+            Some(MachineChoice::File(path)) => Some((path.clone(), "flag --machine")),
+            None => configuration::named(self.config.as_ref()),
+        }
     }
 
     /// The configuration file in use; `None` for the built-in configuration.
@@ -132,7 +144,10 @@ impl ConfigArguments {
     /// # Errors
     /// The file and the place in it that cannot be used.
     pub fn load(&self) -> Result<Config, ProgramError> {
-        load(self.path().as_deref())
+        match &self.machine {
+            Some(MachineChoice::Bundled(machine)) => machine.load(),
+            _ => load(self.path().as_deref()),
+        }
     }
 }
 
@@ -196,7 +211,11 @@ mod tests {
     #[test]
     fn the_sample_configuration_lists_the_defaults() {
         let path = crate::setup::workspace().join("samples/etherpen.toml");
-        let config = ConfigArguments { config: Some(path) }.load().unwrap();
+        let arguments = ConfigArguments {
+            config: Some(path),
+            machine: None,
+        };
+        let config = arguments.load().unwrap();
         assert_eq!(config, Config::default());
     }
 }

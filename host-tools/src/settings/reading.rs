@@ -104,13 +104,14 @@ pub fn linear_axes(kind: &str) -> [bool; AXES] {
 pub fn configuration(text: &str) -> Result<Config, ReadingError> {
     let mut table = DeTable::parse(text)?;
     let mut file = File { text };
-    file.share(table.get_mut())?;
     let linear = kind(table.get_ref()).map_or([false; AXES], linear_axes);
+    file.share(table.get_mut(), &linear)?;
     let converted = file.converted(table.get_ref(), &linear)?;
     // The converted values are texts of their own, which live shorter than the file's.
     let mut table: Spanned<DeTable<'_>> = table;
     apply(table.get_mut(), &converted);
     complete(table.get_mut());
+    roll(table.get_mut());
     Config::deserialize(Deserializer::from(table)).map_err(|mut cause| {
         cause.set_input(Some(text));
         cause.into()
@@ -152,8 +153,9 @@ impl File<'_> {
         }
     }
 
-    /// Gives each axis the shared values that it does not set itself.
-    fn share(&mut self, table: &mut DeTable<'_>) -> Result<(), ReadingError> {
+    /// Gives each axis the shared values that it does not set itself, and that suit it: those in radians are not for linear
+    /// axes, those in millimetres only for them.
+    fn share(&mut self, table: &mut DeTable<'_>, linear: &[bool; AXES]) -> Result<(), ReadingError> {
         let Some(shared) = table.remove(SHARED) else {
             return Ok(());
         };
@@ -167,8 +169,15 @@ impl File<'_> {
             (0..AXES).for_each(|_| axes.push(Spanned::new(place..place, DeValue::Table(DeTable::new()))));
             Spanned::new(place..place, DeValue::Array(axes))
         });
-        for axis in tables_mut(axes) {
-            for (key, value) in &shared {
+        let is_mixed = linear.contains(&true);
+        for (number, axis) in tables_mut(axes).enumerate() {
+            let is_linear = linear.get(number).copied().unwrap_or(false);
+            let suits = |key: &str| {
+                let of_other = |Unit(mm, rad, _): &Unit| key == if is_linear { *rad } else { *mm };
+                let is_foreign = LINEAR.iter().any(of_other) || key == PITCH && !is_linear;
+                !(is_mixed && is_foreign)
+            };
+            for (key, value) in shared.iter().filter(|(key, _)| suits(key.get_ref())) {
                 axis.entry(key.clone()).or_insert_with(|| value.clone());
             }
         }
@@ -320,6 +329,25 @@ fn apply<'a>(table: &mut DeTable<'a>, converted: &'a [Converted]) {
             Spanned::new(span.clone(), (*to).into()),
             Spanned::new(span, value.into_inner()),
         );
+    }
+}
+
+/// Tells the kinematics what a turn of the wheel is that stands for a linear axis.
+fn roll(table: &mut DeTable<'_>) {
+    let keys: &[&str] = match kind(table) {
+        Some("gantry") => &["x_mm_per_turn", "y_mm_per_turn", "z_mm_per_turn"],
+        Some("corexy") => &["belt_mm_per_turn", "z_mm_per_turn"],
+        Some("scara") => &["z_mm_per_turn"],
+        Some("linear-delta") => &["carriage_mm_per_turn"],
+        _ => return,
+    };
+    let Some(DeValue::Table(geometry)) = table.get_mut("geometry").map(Spanned::get_mut) else {
+        return;
+    };
+    for key in keys {
+        if let Ok(value) = DeValue::parse("628.3185307179587") {
+            geometry.insert(Spanned::new(0..0, (*key).into()), value);
+        }
     }
 }
 

@@ -8,9 +8,7 @@
 use super::geometry::GeometryError;
 use super::linear::{Linear, angles_rad, check_stroke};
 use super::vector::Vector;
-use super::{
-    ConditioningMin, JointAngles, JointRanges, JointRows, KinematicsError, MAIN_AXES, Position, Words,
-};
+use super::{ConditioningMin, JointAngles, JointRanges, JointRows, KinematicsError, MAIN_AXES, Position, Words};
 use crate::bounds::{Bound, bound};
 use crate::settings::WorkVolume;
 use serde::{Deserialize, Serialize};

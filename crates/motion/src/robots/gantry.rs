@@ -7,9 +7,7 @@
 use super::geometry::GeometryError;
 use super::linear::{Linear, angles_rad, check_stroke};
 use super::vector::Vector;
-use super::{
-    ConditioningMin, JointAngles, JointRanges, JointRows, KinematicsError, MAIN_AXES, Position, Words,
-};
+use super::{ConditioningMin, JointAngles, JointRanges, JointRows, KinematicsError, MAIN_AXES, Position, Words};
 use crate::bounds::{Bound, bound};
 use crate::settings::WorkVolume;
 use serde::{Deserialize, Serialize};
@@ -188,9 +186,6 @@ impl Gantry {
     /// [`KinematicsError::NotFinite`].
     pub(super) fn forward(&self, joints: &JointAngles) -> Result<Position, KinematicsError> {
         let ([x, y, z, _], [of_x, of_y, of_z]) = (joints.0, &self.axes);
-        super::finite(
-            joints,
-            [x * of_x.mm_per_rad, y * of_y.mm_per_rad, z * of_z.mm_per_rad],
-        )
+        super::finite(joints, [x * of_x.mm_per_rad, y * of_y.mm_per_rad, z * of_z.mm_per_rad])
     }
 }

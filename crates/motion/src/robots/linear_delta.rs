@@ -108,7 +108,10 @@ impl fmt::Display for LinearDeltaError {
                  longer than the radius"
             ),
             Self::Towers { first_deg, second_deg } => {
-                write!(f, "towers at {first_deg} and {second_deg} degrees are in line with the axis")
+                write!(
+                    f,
+                    "towers at {first_deg} and {second_deg} degrees are in line with the axis"
+                )
             }
         }
     }
@@ -190,7 +193,11 @@ impl LinearDelta {
     pub(super) fn new(geometry: &LinearDeltaGeometry) -> Result<Self, GeometryError> {
         let (radius_mm, rod_mm) = (geometry.radius_mm, geometry.rod_mm);
         let azimuths = geometry.tower_azimuths_deg;
-        if ![radius_mm, rod_mm].iter().chain(&azimuths).all(|value| value.is_finite()) {
+        if ![radius_mm, rod_mm]
+            .iter()
+            .chain(&azimuths)
+            .all(|value| value.is_finite())
+        {
             return Err(GeometryError::NotFinite);
         }
         if !(radius_mm > 0.0 && rod_mm > radius_mm) {

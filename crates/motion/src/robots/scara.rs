@@ -129,7 +129,12 @@ impl ScaraGeometry {
             bound("geometry.outer_link_mm", self.outer_link_mm, 10.0, 2000.0),
             bound("geometry.elbow", f64::from(self.elbow), -1.0, 1.0),
             bound("geometry.shoulder_range_rad[0]", shoulder_low, -6.3, shoulder_high),
-            bound("geometry.shoulder_range_rad[1]", shoulder_high, shoulder_low, shoulder_low + TURN_WIDTH_MAX_RAD),
+            bound(
+                "geometry.shoulder_range_rad[1]",
+                shoulder_high,
+                shoulder_low,
+                shoulder_low + TURN_WIDTH_MAX_RAD,
+            ),
             bound("geometry.elbow_range_rad[0]", elbow_low, -3.0, elbow_high),
             bound("geometry.elbow_range_rad[1]", elbow_high, elbow_low, 3.0),
             bound("geometry.margin_rad", self.margin_rad, 0.0, 0.2),
@@ -215,7 +220,11 @@ impl Scara {
     pub(super) fn new(geometry: &ScaraGeometry) -> Result<Self, GeometryError> {
         let (inner_link_mm, outer_link_mm, elbow) = (geometry.inner_link_mm, geometry.outer_link_mm, geometry.elbow);
         let ranges = geometry.shoulder_range_rad.iter().chain(&geometry.elbow_range_rad);
-        if ![inner_link_mm, outer_link_mm].iter().chain(ranges).all(|value| value.is_finite()) {
+        if ![inner_link_mm, outer_link_mm]
+            .iter()
+            .chain(ranges)
+            .all(|value| value.is_finite())
+        {
             return Err(GeometryError::NotFinite);
         }
         if !(inner_link_mm > 0.0 && outer_link_mm > 0.0) {

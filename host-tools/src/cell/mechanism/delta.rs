@@ -43,15 +43,6 @@ impl Delta {
         }
     }
 
-    /// Arms that hold no platform, with the joints' ranges of another robot.
-    pub(super) fn without_tool(geometry: &Geometry) -> Self {
-        Self {
-            kinematics: None,
-            ranges_rad: geometry.ranges_rad(),
-            ..Self::new(&DeltaGeometry::default())
-        }
-    }
-
     /// This robot with a load at its platform, and with other dimensions than the configured ones.
     pub(super) fn with(self, payload_kg: f64, differing: Option<TrueDelta>) -> Self {
         Self {

@@ -3,11 +3,13 @@
 //! [`Mechanism`] is the seam between a kind of robot and the rest of the cell. Every kind is one file here.
 
 mod delta;
+mod linked;
 
 use super::calibration::TrueDelta;
 use delta::Delta;
 use etherpen::config::Geometry;
 use etherpen::robots::{JointAngles, MAIN_AXES, Position};
+use linked::Linked;
 
 /// A value of each main axis.
 pub(super) type MainAxes = [f64; MAIN_AXES];
@@ -28,14 +30,16 @@ pub(super) struct Equation {
 pub(super) enum Mechanism {
     /// A delta robot.
     Delta(Delta),
+    /// A machine of linear axes and links.
+    Linked(Linked),
 }
 
 impl Mechanism {
-    /// The mechanism of these dimensions; of a kind that has none here, one that holds no tool.
+    /// The mechanism of these dimensions.
     pub(super) fn new(geometry: &Geometry) -> Self {
         match geometry {
             Geometry::Delta(dimensions) => Self::Delta(Delta::new(dimensions)),
-            _ => Self::Delta(Delta::without_tool(geometry)),
+            other => Self::Linked(Linked::new(other)),
         }
     }
 
@@ -43,6 +47,7 @@ impl Mechanism {
     pub(super) fn with(self, payload_kg: f64, differing: Option<TrueDelta>) -> Self {
         match self {
             Self::Delta(delta) => Self::Delta(delta.with(payload_kg, differing)),
+            Self::Linked(linked) => Self::Linked(linked.with(payload_kg)),
         }
     }
 
@@ -50,6 +55,7 @@ impl Mechanism {
     pub(super) fn tool(&self, joints: &JointAngles) -> Option<Position> {
         match self {
             Self::Delta(delta) => delta.platform(joints),
+            Self::Linked(linked) => linked.tool(joints),
         }
     }
 
@@ -57,6 +63,7 @@ impl Mechanism {
     pub(super) fn end_stops_rad(&self) -> [[f64; 2]; MAIN_AXES] {
         match self {
             Self::Delta(delta) => delta.end_stops_rad(),
+            Self::Linked(linked) => linked.end_stops_rad(),
         }
     }
 
@@ -64,6 +71,7 @@ impl Mechanism {
     pub(super) fn equation(&self, angles: MainAxes, speeds: MainAxes, rotor: MainAxes) -> Equation {
         match self {
             Self::Delta(delta) => delta.equation(angles, speeds, rotor),
+            Self::Linked(linked) => linked.equation(angles, speeds, rotor),
         }
     }
 }
