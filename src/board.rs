@@ -121,7 +121,7 @@ impl Lamps {
             Mode::Startup | Mode::BusConfiguring => (flash, false),
             Mode::DrivesOff | Mode::Unreferenced => (slow, false),
             Mode::Idle => (true, false),
-            Mode::Moving | Mode::Drawing | Mode::Holding => (fast, false),
+            Mode::Homing | Mode::Moving | Mode::Drawing | Mode::Holding => (fast, false),
             Mode::Stopping => (fast, fast),
             Mode::Fault => (false, true),
         };
@@ -143,7 +143,7 @@ impl Lamps {
             Mode::Startup | Mode::BusConfiguring => false,
             Mode::DrivesOff | Mode::Unreferenced => ms % 1_000 < 500,
             Mode::Idle => true,
-            Mode::Moving | Mode::Drawing | Mode::Holding | Mode::Stopping => ms % 200 < 100,
+            Mode::Homing | Mode::Moving | Mode::Drawing | Mode::Holding | Mode::Stopping => ms % 200 < 100,
             Mode::Fault => ms % 500 < 100,
         }
     }

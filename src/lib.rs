@@ -33,7 +33,7 @@
 //! 2. `config`: every number that the controller needs, and its bounds
 //! 3. `network`, `control::limit`, `control::position`: the IP stack for EtherCAT in UDP; position controller
 //! 4. `control::velocity`, `control::torque_feedback`: velocity controller; monitor of one axis in torque mode
-//! 5. `control::feedback`: monitor of one axis
+//! 5. `control::feedback`, `control::search`: monitor of one axis; homing by switches
 //! 6. `control::robot_axes`, `application::fault`, `application::mode`: the drives as the robot's axes; what can go
 //!    wrong, and the operating modes
 //! 7. `board`: inputs, port, lamps and supervision of a board

@@ -32,6 +32,10 @@ pub enum Action {
         /// The pose.
         near: Option<JointAngles>,
     },
+    /// Lead the axes to their home switches, and home them there.
+    Search,
+    /// End a search early; the axes stop.
+    EndSearch,
     /// Start the trajectory from this pose; its setpoints carry the epoch from then on.
     Place {
         /// The pose at rest.

@@ -141,4 +141,6 @@ pub enum Refusal {
         /// Why.
         reason: IoRefusal,
     },
+    /// Homing by switches moves the axes: the drives need power first.
+    NeedsPower,
 }

@@ -17,6 +17,8 @@ pub struct Condition {
     pub powered: bool,
     /// Whether no drive has power.
     pub unpowered: bool,
+    /// Whether the axes are led to their home switches.
+    pub searching: bool,
     /// Whether all axes are at rest.
     pub standstill: bool,
     /// Fault of the first drive that reports one: [`Fault::Drive`].
@@ -42,6 +44,7 @@ impl Condition {
         unreferenced: Some(0),
         powered: false,
         unpowered: true,
+        searching: false,
         standstill: false,
         drive_fault: None,
         silent: Some(0),

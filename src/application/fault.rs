@@ -4,6 +4,7 @@
 
 use crate::config::IoRole;
 use crate::control::feedback::Implausible;
+use crate::control::search::SearchFailure;
 use crate::ethercat::clock::steering::ClockFault;
 use crate::ethercat::error::IdentityProperty;
 use crate::ethercat::port_state::PortState;
@@ -224,6 +225,13 @@ pub enum Fault {
         lost_ms: u16,
         /// The limit.
         limit_ms: u16,
+    },
+    /// An axis could not be homed by its switch.
+    HomingFailed {
+        /// Axis, from 0.
+        axis: u8,
+        /// What the switch did.
+        failure: SearchFailure,
     },
 }
 

@@ -82,6 +82,8 @@ pub struct Application {
     /// Power state last asked of the drives.
     power: Power,
     has_configuration: bool,
+    /// Whether axes are homed by switches, which needs power.
+    has_switches: bool,
     actions: Vec<Action, ACTIONS_MAX>,
 }
 
@@ -113,6 +115,7 @@ impl Application {
             host_silence_max_ms: 500,
             power: Power::Off,
             has_configuration: false,
+            has_switches: false,
             actions: Vec::new(),
         }
     }
@@ -170,9 +173,11 @@ impl Application {
         )
     }
 
-    /// Reports that a checked configuration was taken and that the bus is being brought up.
-    pub fn configured(&mut self, host_silence_max_ms: u16) {
+    /// Reports that a checked configuration was taken and that the bus is being brought up. `has_switches` tells whether axes
+    /// are homed by switches.
+    pub fn configured(&mut self, host_silence_max_ms: u16, has_switches: bool) {
         self.host_silence_max_ms = host_silence_max_ms;
+        self.has_switches = has_switches;
         self.has_configuration = true;
         self.mode = Mode::BusConfiguring;
         self.fault = None;
@@ -251,6 +256,10 @@ impl Application {
                 Ok(())
             }
             Command::Cancel => {
+                if self.mode == Mode::Homing {
+                    self.act(Action::EndSearch);
+                    return Ok(());
+                }
                 if !matches!(self.mode, Mode::Drawing | Mode::Holding | Mode::Moving) {
                     return Err(Refusal::NotInMode(self.mode));
                 }
@@ -362,7 +371,7 @@ impl Application {
 
     fn disable(&mut self) -> Result<(), Refusal> {
         match self.mode {
-            Mode::Idle | Mode::Unreferenced => {
+            Mode::Idle | Mode::Unreferenced | Mode::Homing => {
                 self.mode = Mode::Stopping;
                 self.enabling = Enabling::No;
                 self.begin_stop();
@@ -381,8 +390,21 @@ impl Application {
         if !self.condition.standstill || self.enabling != Enabling::No {
             return Err(Refusal::Moving);
         }
+        if self.has_switches && near.is_none() {
+            return self.search();
+        }
         self.act(Action::Home { near });
         self.enabling = Enabling::Homing { since_ms: self.now_ms };
+        Ok(())
+    }
+
+    /// Leads the axes to their switches.
+    fn search(&mut self) -> Result<(), Refusal> {
+        if self.mode == Mode::DrivesOff {
+            return Err(Refusal::NeedsPower);
+        }
+        self.act(Action::Search);
+        self.enter_motion(Mode::Homing);
         Ok(())
     }
 

@@ -26,11 +26,13 @@ pub enum Mode {
     Stopping,
     /// A fault is latched.
     Fault,
+    /// The axes are led to their home switches.
+    Homing,
 }
 
 impl Mode {
     /// All modes in the order of their numbers, from 0.
-    pub const ALL: [Self; 10] = [
+    pub const ALL: [Self; 11] = [
         Self::Startup,
         Self::BusConfiguring,
         Self::DrivesOff,
@@ -41,6 +43,7 @@ impl Mode {
         Self::Holding,
         Self::Stopping,
         Self::Fault,
+        Self::Homing,
     ];
 
     /// Its number.

@@ -8,6 +8,8 @@ use heapless::Vec;
 
 /// Time until the reports of the other tasks reflect an action, ms.
 pub(super) const SETTLE_MS: u32 = 2;
+/// Time until a search shows in the reports, ms.
+pub(super) const SEARCH_BEGINS_MS: u32 = 5;
 /// Time until a reset shows in the drives' status, ms.
 pub(super) const RESET_MS: u32 = 30;
 
@@ -171,10 +173,25 @@ impl Application {
         }
     }
 
+    /// Waits for the end of a search; a silent host ends it early.
+    fn step_homing(&mut self, host_silence_ms: u32) {
+        if host_silence_ms > u32::from(self.host_silence_max_ms) {
+            self.act(Action::EndSearch);
+        }
+        if !self.condition.searching && self.waited_ms(self.motion_started_ms) > SEARCH_BEGINS_MS {
+            self.mode = match self.condition.unreferenced {
+                None => Mode::Idle,
+                Some(_) => Mode::Unreferenced,
+            };
+            self.follow_from_here();
+        }
+    }
+
     fn step_motion(&mut self, progress: Progress, host_silence_ms: u32) {
         // The setpoints of the last period are still in the ring when the trajectory is at rest.
         let at_rest = progress.idle && self.condition.standstill && self.waited_ms(self.motion_started_ms) >= SETTLE_MS;
         match self.mode {
+            Mode::Homing => self.step_homing(host_silence_ms),
             Mode::Drawing if host_silence_ms > u32::from(self.host_silence_max_ms) => self.hold(),
             Mode::Drawing | Mode::Moving | Mode::Holding if at_rest => self.mode = Mode::Idle,
             Mode::Stopping if self.cancelling && at_rest => {

@@ -21,6 +21,8 @@ pub struct Axis {
     pub product: u32,
     /// Revision of the axis's drive; 0 accepts any.
     pub revision: u32,
+    /// How the axis is homed by a switch.
+    pub home: HomeSwitch,
     /// Whether the drive is commanded by velocity, by torque or by position.
     pub mode: AxisMode,
     /// Motor revolutions for one revolution of the joint; negative where the motor turns the other way.
@@ -75,6 +77,39 @@ pub struct Axis {
     pub velocity_filter_ms: f64,
 }
 
+/// How an axis is homed by a switch; without an input it is homed by its encoder, at its synchronisation mark.
+///
+/// The joint's position at the switch is the axis's `sync_angle_rad`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields, default)]
+pub struct HomeSwitch {
+    /// The input with the role `home`: its place in the configuration's `io`, from 0.
+    pub io: Option<u8>,
+    /// Axes are homed in this order, those with the same number together.
+    pub order: u8,
+    /// Speed towards the switch, rad/s; its sign is the direction.
+    pub speed_rad_s: f64,
+    /// Speed of the second, slow approach, rad/s.
+    pub latch_rad_s: f64,
+    /// How far the axis goes off the switch, rad.
+    pub pull_off_rad: f64,
+    /// Longest way to the switch, rad.
+    pub travel_max_rad: f64,
+}
+
+impl Default for HomeSwitch {
+    fn default() -> Self {
+        Self {
+            io: None,
+            order: 0,
+            speed_rad_s: -0.5,
+            latch_rad_s: 0.05,
+            pull_off_rad: 0.03,
+            travel_max_rad: 10.0,
+        }
+    }
+}
+
 /// Following error at which a drive in position mode trips, relative to the deviation at which its feedback is not believed.
 const DRIVE_WINDOW_SHARE: f64 = 1.5;
 
@@ -113,6 +148,7 @@ impl Axis {
 impl Default for Axis {
     fn default() -> Self {
         Self {
+            home: HomeSwitch::default(),
             alias: 0,
             switch: 0,
             serial: 0,

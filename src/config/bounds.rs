@@ -62,7 +62,7 @@ pub const QUICK_STOP_MAX_MS: u32 = 950;
 const BUS_BOUNDS: usize = 11;
 
 /// Rows of an axis in the table of bounds.
-const AXIS_BOUNDS: usize = 30;
+const AXIS_BOUNDS: usize = 34;
 
 impl Axis {
     /// Bounds of the identity. An axis that tells its drive by alias, switches or serial number needs one that no other
@@ -112,6 +112,25 @@ impl Axis {
             alias,
             switch,
             serial,
+            bound(
+                "axes.home.speed_rad_s",
+                self.home.speed_rad_s.abs(),
+                1e-3,
+                self.output_max_rad_s.abs(),
+            ),
+            bound(
+                "axes.home.latch_rad_s",
+                self.home.latch_rad_s,
+                1e-4,
+                self.home.speed_rad_s.abs(),
+            ),
+            bound(
+                "axes.home.pull_off_rad",
+                self.home.pull_off_rad,
+                1e-3,
+                self.home.travel_max_rad,
+            ),
+            bound("axes.home.travel_max_rad", self.home.travel_max_rad, 1e-2, 100.0),
             bound("axes.gear", self.gear.abs(), 0.1, 1000.0),
             bound(
                 "axes.increments_per_revolution",

@@ -128,6 +128,9 @@ pub enum IoRole {
     Start,
     /// Output that shows the operating mode.
     Lamp,
+    /// Input of a home switch, closed (1) in operation and open where the axis is at its switch. A terminal that fails is a
+    /// fault.
+    Home,
     /// Output that lowers the pen: on from the start of lowering to the start of lifting, off at every stop. A terminal that
     /// fails is a fault.
     Pen,
@@ -146,7 +149,7 @@ impl IoRole {
 
     /// Whether the failure of the point's terminal is a fault.
     pub const fn is_needed(self) -> bool {
-        self.stops() || matches!(self, Self::Pen)
+        self.stops() || matches!(self, Self::Home | Self::Pen)
     }
 
     /// Name as used in `etherpen.toml`.
@@ -158,6 +161,7 @@ impl IoRole {
             Self::Hold => "hold",
             Self::Start => "start",
             Self::Lamp => "lamp",
+            Self::Home => "home",
             Self::Pen => "pen",
         }
     }
@@ -296,6 +300,11 @@ pub enum IoError {
         expected: u16,
         /// The bit given.
         actual: u16,
+    },
+    /// An axis's home switch is not an input with the role `home`.
+    HomeSwitch {
+        /// The axis, from 0.
+        axis: u8,
     },
     /// The role needs the other direction, or a bit.
     Role {

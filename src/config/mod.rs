@@ -10,7 +10,7 @@ mod bus;
 mod io;
 mod pen_lift;
 
-pub use axis::{Axis, AxisMode};
+pub use axis::{Axis, AxisMode, HomeSwitch};
 pub use bounds::{ConfigError, Field, QUICK_STOP_MAX_MS};
 pub use bus::{AddressError, Bus, HostAddress, NetworkSettings, Transport};
 pub use etherpen_motion::settings::{Geometry, MotionLimits, Orientation, Paper, WorkVolume};
@@ -119,12 +119,23 @@ impl Config {
         }
     }
 
-    /// Checks the named inputs and outputs.
+    /// Checks the named inputs and outputs, and the axes' home switches among them.
     ///
     /// # Errors
     /// The first [`IoError`].
     pub fn check_io(&self) -> Result<(), IoError> {
-        io::check(&self.io)
+        io::check(&self.io)?;
+        for (number, axis) in (0..).zip(&self.axes) {
+            let is_home = |io: u8| {
+                self.io
+                    .get(usize::from(io))
+                    .is_some_and(|point| point.role == IoRole::Home)
+            };
+            if axis.home.io.is_some_and(|io| !is_home(io)) {
+                return Err(IoError::HomeSwitch { axis: number });
+            }
+        }
+        Ok(())
     }
 
     /// The values of all points, in their order.

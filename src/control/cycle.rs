@@ -43,6 +43,10 @@ pub enum SamplerCommand {
         /// The pose.
         near: Option<JointAngles>,
     },
+    /// Lead the axes to their switches, and home them there.
+    Search,
+    /// End a search early; the axes stop.
+    EndSearch,
     /// Follow the setpoints of this start.
     Follow {
         /// Number of the start.
@@ -98,6 +102,8 @@ pub struct CycleReport {
     pub increments: [i64; AXES],
     /// Whether each axis is homed.
     pub homed: [bool; AXES],
+    /// Whether the axes are led to their switches.
+    pub searching: bool,
     /// Whether all axes are at rest.
     pub standstill: bool,
     /// Phase of the sample relative to the bus clock, ns; positive when the sample was late; `None` without a clock.

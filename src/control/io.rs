@@ -171,6 +171,12 @@ impl Io {
         &self.report
     }
 
+    /// Whether an input is open; `None` while it does not arrive.
+    pub(super) fn is_open(&self, io: u8) -> Option<bool> {
+        let bit = 1_u16.checked_shl(io.into())?;
+        (self.report.valid & bit != 0).then_some(self.report.set & bit == 0)
+    }
+
     /// The emergency stop that is open.
     #[inline]
     pub fn interlock(&self) -> Option<Interlock> {

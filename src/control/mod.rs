@@ -8,6 +8,7 @@ pub mod pen_switch;
 pub mod position;
 pub mod robot_axes;
 pub mod sampler;
+pub mod search;
 pub mod supervision;
 pub mod torque_feedback;
 pub mod velocity;

@@ -110,6 +110,8 @@ struct AxisState {
     generation: u8,
     /// Unwrapped position at joint angle 0.
     zero: Option<f64>,
+    /// Whether targets count from where the unwrapping began while there is no zero.
+    searches: bool,
     home_lost: bool,
     commanded: bool,
     feedback: FeedbackMonitor,
@@ -146,6 +148,7 @@ impl AxisState {
             drive_generation: 0,
             generation: 0,
             zero: None,
+            searches: false,
             home_lost: false,
             commanded: false,
             feedback: FeedbackMonitor::new(axis, AxisMode::Velocity, 1.0),
@@ -346,10 +349,11 @@ impl AxisState {
         output
     }
 
-    /// The drive's position at a joint angle, increments; `None` while the axis is not homed, or for an angle that is not
-    /// finite.
+    /// The drive's position at a joint angle, increments; `None` while the axis is neither homed nor led to its switch, or for
+    /// an angle that is not finite.
     fn increments_at(&self, angle_rad: f64) -> Option<i32> {
-        let ahead = self.zero? + angle_rad * self.increments_per_rad - float(self.position);
+        let zero = self.zero.or(self.searches.then_some(0.0))?;
+        let ahead = zero + angle_rad * self.increments_per_rad - float(self.position);
         // Rounds to the nearest integer: the conversion truncates and saturates.
         let rounded = (ahead + if ahead < 0.0 { -0.5 } else { 0.5 }) as i32;
         ahead.is_finite().then(|| self.raw.wrapping_add(rounded))
@@ -462,6 +466,26 @@ impl RobotAxes {
             let angle_rad = resolver_angle_rad(&axis.config, i64::from(axis.raw), near_rad);
             axis.zero = Some(float(axis.position) - angle_rad * axis.increments_per_rad);
             axis.home_lost = false;
+        }
+        Ok(())
+    }
+
+    /// Whether the axes are led to their switches: until they are homed their angles count from where the unwrapping began.
+    pub fn set_searching(&mut self, searches: bool) {
+        self.axes.iter_mut().for_each(|axis| axis.searches = searches);
+    }
+
+    /// Takes the positions of the switches, increments, as the joint angles of the marks; axes without one are homed at the
+    /// marks of their encoders.
+    ///
+    /// # Errors
+    /// [`HomingError`]; no axis is homed then.
+    pub fn home_at(&mut self, edges: &[Option<i64>; AXES]) -> Result<(), HomingError> {
+        self.home(None)?;
+        for (axis, edge) in self.axes.iter_mut().zip(edges) {
+            if let Some(edge) = edge {
+                axis.zero = Some(float(*edge) - axis.config.sync_angle_rad * axis.increments_per_rad);
+            }
         }
         Ok(())
     }

@@ -22,6 +22,7 @@ use crate::control::limit::limited;
 use crate::control::pen_switch::{HEIGHT, PenSwitch};
 use crate::control::position::PositionController;
 use crate::control::robot_axes::{AxisCommand, Demand, PositionDemand, RobotAxes};
+use crate::control::search::{Found, Search};
 use crate::control::supervision::{Observation, Supervision};
 use crate::control::torque_feedback::Demanded;
 use crate::control::velocity::VelocityController;
@@ -84,6 +85,8 @@ pub struct Sampler<'a, G = RobotGroup<'a>> {
     power: Power,
     epoch: Option<u8>,
     window: Window,
+    /// The search for the switches that is under way.
+    search: Option<Search>,
     /// Report of this millisecond, filled step by step; measured values are kept from one millisecond to the next.
     now: CycleReport,
     was_enabled: [bool; AXES],
@@ -140,6 +143,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             power: Power::Off,
             epoch: None,
             window: Window::new(),
+            search: None,
             now: CycleReport::default(),
             was_enabled: [false; AXES],
             home_lost: [false; AXES],
@@ -366,6 +370,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
                     self.power = power;
                     if power != Power::On {
                         self.epoch = None;
+                        self.end_search();
                     }
                 }
                 SamplerCommand::Home { near } => {
@@ -373,6 +378,12 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
                     // A refusal leaves the axes unhomed, which the operating modes see and report.
                     let _ = self.robot.home(near.as_ref());
                     self.same_zero = [false; AXES];
+                }
+                SamplerCommand::Search => self.begin_search(),
+                SamplerCommand::EndSearch => {
+                    if let Some(search) = &mut self.search {
+                        search.cancel();
+                    }
                 }
                 SamplerCommand::Follow { epoch } => {
                     self.epoch = Some(epoch);
@@ -471,6 +482,9 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
     /// Advances to this millisecond's setpoint. Returns whether one is followed, and whether one was missing.
     #[inline]
     fn next_setpoint(&mut self) -> (bool, bool) {
+        if self.search.is_some() {
+            return self.search_setpoint();
+        }
         let Some(epoch) = self.epoch else {
             self.window.clear();
             return (false, false);
@@ -485,6 +499,57 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             }
             None => (false, was_following),
         }
+    }
+
+    /// Begins to lead the axes to their switches, from where they are.
+    #[cold]
+    fn begin_search(&mut self) {
+        if self.power != Power::On {
+            return;
+        }
+        self.epoch = None;
+        self.window.clear();
+        let search = Search::new(&self.axes, self.used, &self.now.measured_rad);
+        let standing = search.setpoint();
+        while self.window.has_room() {
+            self.window.push(&standing);
+        }
+        self.robot.set_searching(true);
+        self.search = Some(search);
+    }
+
+    #[cold]
+    fn end_search(&mut self) {
+        self.search = None;
+        self.robot.set_searching(false);
+    }
+
+    /// This millisecond's setpoint of a search. Returns what [`Self::next_setpoint`] does.
+    #[cold]
+    fn search_setpoint(&mut self) -> (bool, bool) {
+        let (io, increments) = (&self.io, &self.now.increments);
+        let Some(search) = &mut self.search else {
+            return (false, false);
+        };
+        match search.step(|input| io.is_open(input), increments) {
+            Ok(Found::Setpoint(setpoint)) => {
+                self.window.advance();
+                self.window.push(&setpoint);
+                if let Some(setpoint) = self.window.first() {
+                    self.now.setpoint = *setpoint;
+                }
+                return (true, false);
+            }
+            Ok(Found::End(edges)) => {
+                // A refusal leaves the axes unhomed, which the operating modes see and report.
+                let _ = edges.map(|edges| self.robot.home_at(&edges));
+                self.same_zero = [false; AXES];
+            }
+            Err((axis, failure)) => self.supervision.latch(Fault::HomingFailed { axis, failure }),
+        }
+        self.end_search();
+        self.window.clear();
+        (false, false)
     }
 
     #[inline(never)]
@@ -683,6 +748,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         let now = &mut self.now;
         now.cycle = self.counters.cycles;
         now.following = following;
+        now.searching = self.search.is_some();
         now.standstill = self.still_ms >= STANDSTILL_MS;
         now.clock_error_ns = self.clock.map(|_| self.steering.error_ns());
         now.fault = self.supervision.fault();

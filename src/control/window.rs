@@ -11,7 +11,7 @@ use crate::robots::AXES;
 use heapless::spsc::Consumer;
 
 /// Number of setpoints of the look-ahead, for the velocity feed-forward.
-const LOOK_AHEAD: usize = 12;
+pub(super) const LOOK_AHEAD: usize = 12;
 /// Most setpoints taken from the queue or discarded in a millisecond: at a start the window fills in two.
 const TAKEN_MAX: usize = 8;
 /// Slots of the window: a power of two, so that an index is wrapped by a mask.
@@ -66,6 +66,19 @@ impl Window {
                 self.length += 1;
             }
             queue::drop_front(setpoints);
+        }
+    }
+
+    /// Whether there is room for another setpoint.
+    pub(super) fn has_room(&self) -> bool {
+        self.length < LOOK_AHEAD
+    }
+
+    /// Adds a setpoint behind the others, if there is room.
+    pub(super) fn push(&mut self, setpoint: &Setpoint) {
+        if self.has_room() {
+            self.setpoints[(self.first + self.length) % SLOTS] = *setpoint;
+            self.length += 1;
         }
     }
 

@@ -317,6 +317,8 @@ impl<'a> Coordinator<'a> {
             }
             Action::ClearFault => self.tell_sampler(SamplerCommand::ClearFault),
             Action::Home { near } => self.tell_sampler(SamplerCommand::Home { near }),
+            Action::Search => self.tell_sampler(SamplerCommand::Search),
+            Action::EndSearch => self.tell_sampler(SamplerCommand::EndSearch),
             Action::Follow { epoch } => self.tell_sampler(SamplerCommand::Follow { epoch }),
             Action::Place { pose, epoch } => self.tell_trajectory(MotionOrder::Place { pose, epoch }),
             Action::BeginPath => self.tell_trajectory(MotionOrder::BeginPath),

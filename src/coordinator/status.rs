@@ -142,6 +142,7 @@ pub(super) fn condition(report: &CycleReport, places: &[u8; AXES]) -> Condition 
         powered: silent.is_none() && status.iter().all(in_operation),
         // A drive that does not answer keeps its last known state.
         unpowered: !status.iter().any(|status| status.is_powered()),
+        searching: report.searching,
         standstill: report.standstill,
         drive_fault: (0..AXES).find(|axis| faulty(*axis)).map(|axis| Fault::Drive {
             axis: axis as u8,

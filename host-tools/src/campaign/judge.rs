@@ -459,7 +459,7 @@ fn mode_of(mode: Mode) -> monitor::Mode {
         Mode::DrivesOff => Told::DrivesOff,
         Mode::Unreferenced => Told::Unreferenced,
         Mode::Idle => Told::Idle,
-        Mode::Moving => Told::Moving,
+        Mode::Homing | Mode::Moving => Told::Moving,
         Mode::Drawing => Told::Drawing,
         Mode::Holding => Told::Holding,
         Mode::Stopping => Told::Stopping,

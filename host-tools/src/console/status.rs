@@ -82,6 +82,7 @@ pub fn mode_name(mode: Mode) -> &'static str {
         Mode::Holding => "Holding",
         Mode::Stopping => "Stopping",
         Mode::Fault => "Fault",
+        Mode::Homing => "Homing",
     }
 }
 
@@ -93,6 +94,7 @@ fn allowed(mode: Mode, referenced: bool) -> Vec<&'static str> {
         Mode::Unreferenced => vec!["reference", "disable"],
         Mode::Idle => vec!["disable", "reference", "jog", "pen", "move", "draw"],
         Mode::Moving => vec!["jog"],
+        Mode::Homing => vec!["cancel", "disable"],
         Mode::Drawing => vec!["hold", "cancel"],
         Mode::Holding => vec!["resume", "cancel"],
         Mode::Fault => vec!["acknowledge"],

@@ -6,6 +6,7 @@ use super::task::{DrawTask, Motion, Ready, Task};
 use crate::link::measurement::Reader;
 use crate::link::text;
 use etherpen::application::Mode;
+use etherpen::config::Config;
 use etherpen::link::message::PathAck;
 use etherpen::messages::Command;
 
@@ -30,6 +31,12 @@ const JOG_REPEAT_MS: u64 = 40;
 const ABANDONED_MS: u64 = 500;
 
 const _: () = assert!(MEASUREMENTS_MAX_MS < STEP_MAX_MS);
+
+/// Whether axes are homed by switches.
+fn has_switches(config: &Config) -> bool {
+    let used = config.axes.iter().take(config.bus.drives.into());
+    used.into_iter().any(|axis| axis.home.io.is_some())
+}
 
 impl Job {
     /// Detects a firmware that no longer sends, with or without a task.
@@ -153,7 +160,7 @@ impl Job {
                 }
             }
             Phase::Referencing if referenced => self.ready(Ready::Referenced, Phase::Enabling),
-            Phase::Referencing => self.reference(),
+            Phase::Referencing => self.reference(mode),
             Phase::Enabling if mode == Mode::Idle => self.ready(Ready::Enabled, Phase::Starting),
             Phase::Enabling => self.request(Command::Enable),
             Phase::Starting => match &self.task {
@@ -239,14 +246,21 @@ impl Job {
         }
     }
 
-    /// References the joints at their marks; fails if the reference was lost or the drawing does not allow it.
-    fn reference(&mut self) {
+    /// Homes the joints, at their marks or by their switches, which needs power; fails if the reference at marks was lost or
+    /// the drawing does not allow it.
+    fn reference(&mut self, mode: Mode) {
+        let by_switches = has_switches(&self.config);
         let is_lost = self.status.as_ref().is_some_and(|status| status.reference_lost);
         let is_elsewhere = matches!(&self.task, Task::Draw(drawing) if !drawing.may_reference);
-        if is_lost || is_elsewhere {
+        if is_lost && !by_switches || is_elsewhere {
             self.ending.get_or_insert(JobError::NotReferenced);
-        } else {
-            self.request(Command::Home);
+            return;
+        }
+        match mode {
+            // The firmware ends a search that takes too long.
+            Mode::Homing => self.entered_ms = self.now_ms,
+            Mode::DrivesOff if by_switches => self.request(Command::Enable),
+            _ => self.request(Command::Home),
         }
     }
 
@@ -352,7 +366,7 @@ impl Job {
     /// Brings the robot to rest from any mode; switches the power off unless it was on before the task.
     fn rest(&mut self, mode: Mode) {
         match mode {
-            Mode::Drawing | Mode::Holding | Mode::Moving if self.ending.is_some() => {
+            Mode::Drawing | Mode::Holding | Mode::Moving | Mode::Homing if self.ending.is_some() => {
                 self.request(Command::Cancel);
             }
             Mode::Idle | Mode::Unreferenced if self.keeps_power() => self.end(),
@@ -370,7 +384,7 @@ impl Job {
                     self.end();
                 }
             }
-            Mode::Drawing | Mode::Holding | Mode::Moving | Mode::Stopping => {}
+            Mode::Drawing | Mode::Holding | Mode::Homing | Mode::Moving | Mode::Stopping => {}
         }
     }
 

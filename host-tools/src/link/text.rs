@@ -27,6 +27,7 @@ pub fn mode(mode: Mode) -> &'static str {
         Mode::Holding => "the drawing is held",
         Mode::Stopping => "coming to a standstill",
         Mode::Fault => "stopped by a fault",
+        Mode::Homing => "going to the home switches",
     }
 }
 
@@ -103,6 +104,7 @@ pub fn refusal(refusal: &Refusal) -> String {
             "the fault was acknowledged already, and the bus and the drives are recovering; wait".into()
         }
         Refusal::Io { io, reason } => io_refusal(*io, *reason),
+        Refusal::NeedsPower => "homing by switches moves the axes: enable the drives first (etherpen enable)".into(),
         Refusal::NotFinite => "a value is not a finite number; check the input".into(),
         Refusal::NoPosition { axis } => format!("no position arrives from axis {}; check its drive", axis + 1),
         Refusal::PoseResolver { axis, difference_rad } => format!(
@@ -256,6 +258,10 @@ pub fn io_error(error: &IoError) -> String {
         IoError::Slave { io, expected, actual } => {
             format!("io {}: slave is {actual}, allowed is 0 to {expected}", one(io))
         }
+        IoError::HomeSwitch { axis } => format!(
+            "axis {}: its home switch is not an input with role = \"home\" in [[io]]",
+            one(axis)
+        ),
         IoError::Place { io } => format!("io {}: give either bit or object", one(io)),
         IoError::Bit { io, expected, actual } => {
             format!(

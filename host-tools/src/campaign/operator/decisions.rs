@@ -77,7 +77,7 @@ impl Operator<'_> {
                 self.say(Command::Acknowledge);
             }
             Mode::Startup | Mode::BusConfiguring | Mode::DrivesOff if !is_configured => self.configure(),
-            Mode::Startup | Mode::BusConfiguring | Mode::Stopping | Mode::Moving => {}
+            Mode::Startup | Mode::BusConfiguring | Mode::Stopping | Mode::Homing | Mode::Moving => {}
             Mode::DrivesOff if !homed && self.raise_parked() => {}
             Mode::DrivesOff | Mode::Unreferenced if !homed || self.judge.asks_for_homing() => self.home(),
             Mode::DrivesOff => self.say(Command::Enable),

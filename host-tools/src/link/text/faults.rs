@@ -4,6 +4,7 @@ use super::bus::{PORT_HINT, al_state, bring_up_code, bring_up_step, identity_pro
 use super::one;
 use etherpen::application::{Fault, InputCause, StopSource};
 use etherpen::config::IoRole;
+use etherpen::control::search::SearchFailure;
 use etherpen::ethercat::error::IdentityProperty;
 use etherpen::ethercat::state::{al_code_hint, al_code_text};
 
@@ -184,6 +185,23 @@ pub fn fault(fault: &Fault) -> String {
                     one(io)
                 ),
             }
+        }
+        Fault::HomingFailed { axis, failure } => {
+            let (what, hint) = match failure {
+                SearchFailure::NeverOpens => (
+                    "did not reach its home switch on the longest way",
+                    "check the switch, its direction and home.travel_max",
+                ),
+                SearchFailure::StaysOpen => (
+                    "left its home switch, and the switch stayed open",
+                    "check the switch and its wire",
+                ),
+                SearchFailure::Missing => (
+                    "gets no input from its home switch",
+                    "check its terminal's supply and cable",
+                ),
+            };
+            format!("axis {} {what}; {hint}, then acknowledge and home again", one(axis))
         }
         Fault::SharedOutput { slave, first, second } => format!(
             "io {} and io {} set the same output of slave {}; give it one name in [[io]] of etherpen.toml",

@@ -1,0 +1,410 @@
+//! Homing by switches: setpoints that lead each axis to its switch, and the position at which the switch opened.
+//!
+//! An axis goes towards its switch, stops, goes back off it, and comes again slowly: the position at which the switch then
+//! opens is the axis's zero. It ends off the switch. A switch that is open at the start is left first. Axes of the same order
+//! go together, each by itself; other axes stand.
+//!
+//! A switch is closed in operation and opens when it is reached, so that a broken wire is like a switch that is reached: it
+//! never closes, which ends the search.
+//!
+//! Invariant: every phase has a longest travel, after which the search fails; no axis moves faster than its search speed.
+
+use crate::config::{Axis, HomeSwitch};
+use crate::motion::Setpoint;
+use crate::robots::AXES;
+use serde::{Deserialize, Serialize};
+
+/// Milliseconds for which a switch must keep a new state.
+const STEADY_MS: u8 = 3;
+/// Part of the quick stop's deceleration that the search uses.
+const ACCELERATION_PART: f64 = 0.5;
+/// Longest way on which a switch is left, in lengths of the way kept off it.
+const LEAVING_MAX: f64 = 8.0;
+/// Length of a cycle, s.
+const CYCLE_S: f64 = 1.0e-3;
+/// Time at rest before the positions are taken, ms: longer than the setpoints are made ahead.
+const REST_MS: u16 = 40;
+
+/// Why a search has ended without a result.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum SearchFailure {
+    /// The switch has not opened on the longest way.
+    NeverOpens,
+    /// The switch has not closed again when it was left: it is stuck, or its wire is broken.
+    StaysOpen,
+    /// The input does not arrive.
+    Missing,
+}
+
+/// What an axis does.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Phase {
+    /// It has no switch, or its turn has not come.
+    Waiting,
+    /// Off a switch that was open at the start.
+    Clear,
+    /// Towards the switch at the search speed.
+    Seek,
+    /// Off the switch.
+    PullOff,
+    /// Towards the switch at the latch speed.
+    Latch,
+    /// Off the switch again.
+    Leave,
+    /// Off the switch; its position is known.
+    Done,
+}
+
+/// The state of a switch, freed from bouncing.
+#[derive(Clone, Copy, Debug, Default)]
+struct Switch {
+    is_open: bool,
+    /// Milliseconds for which the input has had the other state.
+    other_ms: u8,
+    /// The axis's position when it changed, increments.
+    changed_at: i64,
+}
+
+impl Switch {
+    fn step(&mut self, is_open: bool, increments: i64) {
+        if is_open == self.is_open {
+            self.other_ms = 0;
+            return;
+        }
+        if self.other_ms == 0 {
+            self.changed_at = increments;
+        }
+        self.other_ms += 1;
+        if self.other_ms >= STEADY_MS {
+            (self.is_open, self.other_ms) = (is_open, 0);
+        }
+    }
+}
+
+/// The search of one axis.
+#[derive(Clone, Copy, Debug)]
+struct AxisSearch {
+    home: HomeSwitch,
+    acceleration_rad_s2: f64,
+    phase: Phase,
+    switch: Switch,
+    is_known: bool,
+    position_rad: f64,
+    velocity_rad_s: f64,
+    /// Where the phase began.
+    begun_rad: f64,
+    /// Where the switch closed in this phase.
+    closed_rad: Option<f64>,
+    /// Whether the axis is to stop, which ends the phase.
+    stops: bool,
+    /// Position of the switch, increments.
+    edge: Option<i64>,
+}
+
+impl AxisSearch {
+    fn new(axis: &Axis, position_rad: f64) -> Self {
+        Self {
+            home: axis.home,
+            acceleration_rad_s2: axis.quick_stop_rad_s2.abs() * ACCELERATION_PART,
+            phase: Phase::Waiting,
+            switch: Switch::default(),
+            is_known: false,
+            position_rad,
+            velocity_rad_s: 0.0,
+            begun_rad: position_rad,
+            closed_rad: None,
+            stops: false,
+            edge: None,
+        }
+    }
+
+    fn is_over(&self) -> bool {
+        self.home.io.is_none() || self.phase == Phase::Done
+    }
+
+    fn enter(&mut self, phase: Phase) {
+        self.phase = phase;
+        (self.begun_rad, self.closed_rad, self.stops) = (self.position_rad, None, false);
+    }
+
+    /// Advances by a millisecond. `is_open` is the switch's input; `increments` the axis's position.
+    fn step(&mut self, is_open: Option<bool>, increments: i64) -> Result<(), SearchFailure> {
+        let is_open = is_open.ok_or(SearchFailure::Missing)?;
+        if !self.is_known {
+            self.is_known = true;
+            self.switch.is_open = is_open;
+        }
+        self.switch.step(is_open, increments);
+        match self.phase {
+            Phase::Waiting => {
+                let first = if self.switch.is_open { Phase::Clear } else { Phase::Seek };
+                self.enter(first);
+            }
+            Phase::Clear | Phase::PullOff | Phase::Leave => self.leave()?,
+            Phase::Seek => self.seek(self.home.travel_max_rad)?,
+            Phase::Latch => {
+                self.seek(LEAVING_MAX * self.home.pull_off_rad)?;
+                if self.stops {
+                    self.edge.get_or_insert(self.switch.changed_at);
+                }
+            }
+            Phase::Done => {}
+        }
+        self.advance();
+        Ok(())
+    }
+
+    /// Decides where an approach ends.
+    fn seek(&mut self, travel_max_rad: f64) -> Result<(), SearchFailure> {
+        self.stops |= self.switch.is_open;
+        let travelled_rad = (self.position_rad - self.begun_rad).abs();
+        match self.stops || travelled_rad <= travel_max_rad {
+            true => Ok(()),
+            false => Err(SearchFailure::NeverOpens),
+        }
+    }
+
+    /// Decides where the way off the switch ends.
+    fn leave(&mut self) -> Result<(), SearchFailure> {
+        if !self.switch.is_open {
+            self.closed_rad.get_or_insert(self.position_rad);
+        }
+        let travelled_rad = |from_rad: f64| (self.position_rad - from_rad).abs();
+        match self.closed_rad {
+            Some(closed_rad) => self.stops |= travelled_rad(closed_rad) >= self.home.pull_off_rad,
+            None if travelled_rad(self.begun_rad) > self.leaving_max_rad() => return Err(SearchFailure::StaysOpen),
+            None => {}
+        }
+        Ok(())
+    }
+
+    /// Longest way until the switch closes: a multiple of the way kept off it, and what the axis needs to stop.
+    fn leaving_max_rad(&self) -> f64 {
+        let speed = self.home.speed_rad_s;
+        LEAVING_MAX * self.home.pull_off_rad + speed * speed / self.acceleration_rad_s2
+    }
+
+    /// Moves the setpoint by a millisecond; at rest at its end, the next phase begins.
+    fn advance(&mut self) {
+        let towards = self.home.speed_rad_s;
+        let wanted_rad_s = match self.phase {
+            _ if self.stops => 0.0,
+            Phase::Waiting | Phase::Done => 0.0,
+            Phase::Seek => towards,
+            Phase::Latch => self.home.latch_rad_s.abs().copysign(towards),
+            Phase::Clear | Phase::PullOff | Phase::Leave => -towards,
+        };
+        let most = self.acceleration_rad_s2 * CYCLE_S;
+        self.velocity_rad_s += (wanted_rad_s - self.velocity_rad_s).max(-most).min(most);
+        self.position_rad += self.velocity_rad_s * CYCLE_S;
+        if self.stops && self.velocity_rad_s == 0.0 {
+            let next = match self.phase {
+                Phase::Clear => Phase::Seek,
+                Phase::Seek => Phase::PullOff,
+                Phase::PullOff => Phase::Latch,
+                Phase::Latch => Phase::Leave,
+                Phase::Waiting | Phase::Leave | Phase::Done => Phase::Done,
+            };
+            self.enter(next);
+        }
+    }
+}
+
+/// A search of all axes that have a switch.
+#[derive(Clone, Debug)]
+pub(super) struct Search {
+    axes: [AxisSearch; AXES],
+    rest_ms: u16,
+    /// Whether the search was ended early: the axes stop.
+    is_cancelled: bool,
+}
+
+/// What a millisecond of a search gives.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) enum Found {
+    /// The next setpoint.
+    Setpoint(Setpoint),
+    /// The search is over and the axes are at rest: positions of the switches, increments. `None` if it was cancelled.
+    End(Option<[Option<i64>; AXES]>),
+}
+
+impl Search {
+    /// A search of the first `used` axes that begins at this pose, at rest.
+    pub(super) fn new(axes: &[Axis; AXES], used: usize, pose_rad: &[f64; AXES]) -> Self {
+        let mut searches = core::array::from_fn(|axis| AxisSearch::new(&axes[axis], pose_rad[axis]));
+        searches.iter_mut().skip(used).for_each(|axis| axis.home.io = None);
+        Self {
+            axes: searches,
+            rest_ms: 0,
+            is_cancelled: false,
+        }
+    }
+
+    /// Ends the search early.
+    pub(super) fn cancel(&mut self) {
+        self.is_cancelled = true;
+    }
+
+    /// The axes' pose at present, as a setpoint.
+    pub(super) fn setpoint(&self) -> Setpoint {
+        Setpoint {
+            position_rad: self.axes.each_ref().map(|axis| axis.position_rad),
+            velocity_rad_s: self.axes.each_ref().map(|axis| axis.velocity_rad_s),
+            ..Setpoint::default()
+        }
+    }
+
+    /// Advances by a millisecond. `is_open` tells the state of an input of the configuration, `None` for one that does not
+    /// arrive.
+    ///
+    /// # Errors
+    /// The axis, from 0, whose search has failed.
+    pub(super) fn step(
+        &mut self,
+        is_open: impl Fn(u8) -> Option<bool>,
+        increments: &[i64; AXES],
+    ) -> Result<Found, (u8, SearchFailure)> {
+        let order = self
+            .axes
+            .iter()
+            .filter(|axis| !axis.is_over())
+            .map(|axis| axis.home.order)
+            .min();
+        for (number, (axis, increments)) in (0..).zip(self.axes.iter_mut().zip(increments)) {
+            let Some(io) = axis.home.io.filter(|_| Some(axis.home.order) == order) else {
+                continue;
+            };
+            if self.is_cancelled {
+                axis.stops = true;
+                axis.phase = if axis.velocity_rad_s == 0.0 {
+                    Phase::Done
+                } else {
+                    axis.phase
+                };
+                axis.advance();
+            } else if !axis.is_over() {
+                axis.step(is_open(io), *increments)
+                    .map_err(|failure| (number, failure))?;
+            }
+        }
+        if order.is_some() && !(self.is_cancelled && self.axes.iter().all(|axis| axis.velocity_rad_s == 0.0)) {
+            return Ok(Found::Setpoint(self.setpoint()));
+        }
+        self.rest_ms += 1;
+        if self.rest_ms < REST_MS {
+            return Ok(Found::Setpoint(self.setpoint()));
+        }
+        let edges = self.axes.each_ref().map(|axis| axis.edge);
+        Ok(Found::End((!self.is_cancelled).then_some(edges)))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const PER_RAD: f64 = 100_000.0;
+
+    fn axis(io: u8, order: u8, speed_rad_s: f64) -> Axis {
+        Axis {
+            home: HomeSwitch {
+                io: Some(io),
+                order,
+                speed_rad_s,
+                ..HomeSwitch::default()
+            },
+            ..Axis::default()
+        }
+    }
+
+    /// Steps a search whose motors follow exactly; switches are open beyond their places, rad, in the search's direction.
+    fn run(axes: &[Axis; AXES], switches_rad: [f64; AXES]) -> (Result<Found, (u8, SearchFailure)>, [f64; AXES], u32) {
+        let mut search = Search::new(axes, AXES, &[0.0; AXES]);
+        let mut fastest = [0.0_f64; AXES];
+        for ms in 0..600_000 {
+            let pose = search.setpoint().position_rad;
+            let is_open = |io: u8| {
+                let axis = usize::from(io);
+                let towards = axes[axis].home.speed_rad_s.signum();
+                Some((pose[axis] - switches_rad[axis]) * towards >= 0.0)
+            };
+            let increments = pose.map(|rad| (rad * PER_RAD) as i64);
+            let found = search.step(is_open, &increments);
+            match found {
+                Ok(Found::Setpoint(setpoint)) => {
+                    for (fastest, speed) in fastest.iter_mut().zip(setpoint.velocity_rad_s) {
+                        *fastest = fastest.max(speed.abs());
+                    }
+                }
+                end => return (end, fastest, ms),
+            }
+        }
+        panic!("the search does not end");
+    }
+
+    fn edges(found: Result<Found, (u8, SearchFailure)>) -> [Option<f64>; AXES] {
+        match found {
+            Ok(Found::End(Some(edges))) => edges.map(|edge| edge.map(|increments| increments as f64 / PER_RAD)),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    #[test]
+    fn each_switch_is_found_where_it_is_from_either_side_and_no_axis_is_faster_than_its_search() {
+        let axes = [axis(0, 1, -0.5), axis(1, 0, 0.8), axis(2, 1, -0.3), Axis::default()];
+        for switches_rad in [[-1.0, 2.0, -0.2, 0.0], [0.02, -0.04, 0.03, 0.0], [-3.0, 0.0, 0.0, 0.0]] {
+            let (found, fastest, _) = run(&axes, switches_rad);
+            let found = edges(found);
+            for axis in 0..3 {
+                let edge_rad = found[axis].expect("an edge");
+                assert!(
+                    (edge_rad - switches_rad[axis]).abs() < 2e-4,
+                    "{edge_rad} for {switches_rad:?}"
+                );
+                assert!(fastest[axis] <= axes[axis].home.speed_rad_s.abs() + 1e-12);
+            }
+            assert_eq!((found[3], fastest[3]), (None, 0.0));
+        }
+    }
+
+    #[test]
+    fn a_switch_that_never_opens_stays_open_or_is_missing_ends_the_search_with_its_axis() {
+        let axes = [axis(0, 0, -0.5), axis(1, 1, 0.8), Axis::default(), Axis::default()];
+        let far = axes[0].home.travel_max_rad + 1.0;
+        assert_eq!(run(&axes, [-far, 1.0, 0.0, 0.0]).0, Err((0, SearchFailure::NeverOpens)));
+        // Open wherever the axis is: a broken wire.
+        assert_eq!(run(&axes, [-0.1, -1e9, 0.0, 0.0]).0, Err((1, SearchFailure::StaysOpen)));
+        let mut search = Search::new(&axes, AXES, &[0.0; AXES]);
+        assert_eq!(search.step(|_| None, &[0; AXES]), Err((0, SearchFailure::Missing)));
+    }
+
+    #[test]
+    fn a_cancelled_search_stops_all_axes_and_gives_no_position() {
+        let axes = [axis(0, 0, -0.5), axis(1, 0, 0.8), Axis::default(), Axis::default()];
+        for cancelled_ms in [0, 5, 400] {
+            let mut search = Search::new(&axes, AXES, &[0.0; AXES]);
+            for _ in 0..cancelled_ms {
+                search.step(|_| Some(false), &[0; AXES]).unwrap();
+            }
+            search.cancel();
+            let mut end = None;
+            for _ in 0..200 {
+                if let Found::End(found) = search.step(|_| Some(false), &[0; AXES]).unwrap() {
+                    end = Some(found);
+                    break;
+                }
+            }
+            assert_eq!(end, Some(None));
+            assert_eq!(search.setpoint().velocity_rad_s, [0.0; AXES]);
+        }
+    }
+
+    #[test]
+    fn a_bouncing_switch_gives_the_place_of_its_first_contact() {
+        let mut switch = Switch::default();
+        for (ms, is_open) in [true, false, true, true, true].into_iter().enumerate() {
+            switch.step(is_open, ms as i64);
+        }
+        assert_eq!((switch.is_open, switch.changed_at), (true, 2));
+    }
+}
