@@ -8,7 +8,7 @@ use heapless::Vec;
 
 /// Time until the reports of the other tasks reflect an action, ms.
 pub(super) const SETTLE_MS: u32 = 2;
-/// Time until a search shows in the reports, ms.
+/// Time until the beginning and the result of a search show in the reports, ms.
 pub(super) const SEARCH_BEGINS_MS: u32 = 5;
 /// Time until a reset shows in the drives' status, ms.
 pub(super) const RESET_MS: u32 = 30;
@@ -177,6 +177,9 @@ impl Application {
     fn step_homing(&mut self, host_silence_ms: u32) {
         if host_silence_ms > u32::from(self.host_silence_max_ms) {
             self.act(Action::EndSearch);
+        }
+        if self.condition.searching {
+            self.motion_started_ms = self.now_ms;
         }
         if !self.condition.searching && self.waited_ms(self.motion_started_ms) > SEARCH_BEGINS_MS {
             self.mode = match self.condition.unreferenced {

@@ -67,7 +67,7 @@ fn walk(seed: u64) {
     for _ in 0..60_000 {
         match robot.mode() {
             Mode::Drawing | Mode::Holding => drop(robot.command(Command::Cancel)),
-            Mode::Moving | Mode::Stopping => {}
+            Mode::Homing | Mode::Moving | Mode::Stopping => {}
             Mode::Startup | Mode::BusConfiguring => {}
             Mode::DrivesOff | Mode::Unreferenced | Mode::Idle | Mode::Fault => break,
         }

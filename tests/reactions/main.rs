@@ -10,6 +10,7 @@ mod commands;
 mod feedback;
 mod feedback_scan;
 mod feedback_soak;
+mod homing;
 mod identity;
 mod io;
 mod liveness;

@@ -314,6 +314,11 @@ impl Robot {
         self.cell.lock().unwrap().state()
     }
 
+    /// Changes the cell between two milliseconds.
+    pub(crate) fn change_cell(&mut self, change: impl FnOnce(&mut Cell)) {
+        change(&mut self.cell.lock().unwrap());
+    }
+
     /// Sets the inputs of a terminal, from 1.
     pub(crate) fn set_inputs(&mut self, slave: usize, inputs: u8) {
         self.cell.lock().unwrap().set_inputs(slave, &[inputs]);

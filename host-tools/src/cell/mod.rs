@@ -22,6 +22,7 @@ mod paper;
 mod pen_lift;
 mod physics;
 mod robot;
+mod switches;
 mod terminals;
 mod tuning;
 mod vibration;
@@ -48,6 +49,7 @@ use machine::Machine;
 use pen_lift::PenOutput;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
+use switches::Switches;
 pub(crate) use tuning::BRAKE_RAD_S2;
 use tuning::Commissioning;
 
@@ -138,6 +140,7 @@ pub struct Cell {
     segment: Segment<Machine>,
     /// The output that lowers the pen.
     pen: Option<PenOutput>,
+    switches: Switches,
 }
 
 impl Cell {
@@ -165,7 +168,9 @@ impl Cell {
                 // Near enough to the mark for the motor's turn to be known.
                 let most_rad = options.start_offset_max_rad.min(TURN_PART * TAU / axis.gear.abs());
                 let offset_rad = (2.0 * random.unit() - 1.0) * most_rad;
-                let angle_rad = gear.motor_rad(axis.sync_angle_rad + offset_rad);
+                let start_rad = Switches::start_rad(config, drives.len(), offset_rad / most_rad / 2.0 + 0.5)
+                    .unwrap_or(axis.sync_angle_rad + offset_rad);
+                let angle_rad = gear.motor_rad(start_rad);
                 angles
                     .next()
                     .into_iter()
@@ -185,49 +190,71 @@ impl Cell {
             seed: options.seed,
             fault_seed: random.bits(),
         };
-        let mut segment = Segment::new(&segment, machine);
-        for place in 0..segment.slaves().len() {
-            let contacts = terminals::closed_contacts(config, place);
-            if contacts != 0 {
-                segment.set_inputs(place + 1, &[contacts]);
-            }
-        }
+        let segment = Segment::new(&segment, machine);
+        let contacts = (0..segment.slaves().len()).map(|place| (place + 1, terminals::closed_contacts(config, place)));
+        let contacts: Vec<(usize, u8)> = contacts.filter(|(_, closed)| *closed != 0).collect();
         let pen = PenOutput::new(config);
-        Self { segment, pen }
+        let mut cell = Self {
+            segment,
+            pen,
+            switches: Switches::new(config),
+        };
+        for (slave, contacts) in contacts {
+            cell.set_inputs(slave, &[contacts]);
+        }
+        cell.follow_machine();
+        cell
     }
 
-    /// Lowers or lifts the pen as its output says.
-    fn follow_pen(&mut self) {
-        let Some(pen) = self.pen else { return };
-        let is_on = self
-            .segment
-            .outputs(pen.slave)
-            .is_some_and(|outputs| pen.is_on(&outputs));
-        self.segment.load_mut().lower_pen(is_on);
+    /// Lowers or lifts the pen as its output says, and moves the contacts of the switches with the joints.
+    fn follow_machine(&mut self) {
+        if let Some(pen) = self.pen {
+            let is_on = self
+                .segment
+                .outputs(pen.slave)
+                .is_some_and(|outputs| pen.is_on(&outputs));
+            self.segment.load_mut().lower_pen(is_on);
+        }
+        if !self.switches.is_empty() {
+            let angles_rad = self.truth().angles_rad;
+            for (slave, inputs) in self.switches.step(&angles_rad) {
+                self.segment.set_inputs(slave, &inputs);
+            }
+        }
+    }
+
+    /// Breaks the wires of all home switches, or mends them. A broken wire is an open contact.
+    pub fn break_switches(&mut self, broken: bool) {
+        self.switches.break_wires(broken);
+    }
+
+    /// Takes the home switches out of the way of their axes, or puts them back: without them the contacts stay closed.
+    pub fn remove_switches(&mut self, removed: bool) {
+        self.switches.remove(removed);
     }
 
     /// Advances the time to `time_us` on the caller's clock; an earlier time than before does nothing.
     pub fn advance_to(&mut self, time_us: u64) {
-        self.follow_pen();
+        self.follow_machine();
         self.segment.advance_to(time_us);
     }
 
     /// Passes an Ethernet frame through the segment at this time. Returns the replies in order: usually one, none for a
     /// lost or foreign frame, more if the script says so.
     pub fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
-        self.follow_pen();
+        self.follow_machine();
         self.segment.frame(time_us, frame)
     }
 
     /// Passes a frame through the segment at a time in nanoseconds, which distributed clocks need; returns the replies.
     pub fn frame_at_ns(&mut self, time_ns: u64, frame: &[u8]) -> Vec<Vec<u8>> {
-        self.follow_pen();
+        self.follow_machine();
         self.segment.frame_at_ns(time_ns, frame)
     }
 
     /// Passes the payload of EtherCAT in UDP, EtherCAT header and datagrams, through the segment; returns the replies.
     pub fn payload(&mut self, time_us: u64, payload: &[u8]) -> Vec<Vec<u8>> {
-        self.follow_pen();
+        self.follow_machine();
         self.segment.payload(time_us, payload)
     }
 
@@ -268,6 +295,7 @@ impl Cell {
 
     /// Sets the first inputs of a slave, from 1; the bytes behind them stay. No effect without inputs.
     pub fn set_inputs(&mut self, slave: usize, inputs: &[u8]) {
+        self.switches.set(slave, inputs);
         self.segment.set_inputs(slave, inputs);
     }
 

@@ -1,6 +1,7 @@
 //! The chain of a cell whose options name no slaves: the configured drives, and the terminals that `[[io]]` names.
 //!
-//! Each named place gets a digital terminal of eight channels, inputs or outputs; the places between them get couplers.
+//! Each named place gets a digital terminal of eight channels, inputs or outputs; the place before terminals gets a coupler, and
+//! so do the places that no drive is left for.
 //! The contacts of roles that are closed in operation are closed at the start.
 
 use etherpen::config::{AxisMode, Config, IoDirection, IoRole};
@@ -27,11 +28,12 @@ pub fn usual_slaves(config: &Config) -> Vec<SlaveKind> {
         .unwrap_or(0);
     let mut chain = Vec::new();
     while chain.len() < places || drive.is_some() {
-        let here = |point: &&etherpen::config::IoPoint| usize::from(point.slave) == chain.len();
-        let named = config.io.iter().find(here);
-        chain.push(match named.map(|point| point.direction) {
+        let at = |place: usize| config.io.iter().find(|point| usize::from(point.slave) == place);
+        let place = chain.len();
+        chain.push(match at(place).map(|point| point.direction) {
             Some(IoDirection::In) => SlaveKind::El1008,
             Some(IoDirection::Out) => SlaveKind::El2008,
+            None if at(place + 1).is_some() => SlaveKind::Ek1100,
             None => std::mem::replace(&mut drive, drives.next()).unwrap_or(SlaveKind::Ek1100),
         });
     }
@@ -75,12 +77,12 @@ mod tests {
             point(7, IoDirection::Out, 0, IoRole::Lamp),
         ]);
         let kinds = [
-            SlaveKind::Ax2000,
+            SlaveKind::Ek1100,
             SlaveKind::El1008,
             SlaveKind::Ax2000,
             SlaveKind::Ax2000,
             SlaveKind::Ax2000,
-            SlaveKind::Ek1100,
+            SlaveKind::Ax2000,
             SlaveKind::Ek1100,
             SlaveKind::El2008,
         ];

@@ -50,6 +50,14 @@ const LINEAR: [Unit; 8] = [
     Unit("force_max_n", "torque_max_nm", M_PER_RAD),
 ];
 
+/// Values of `home` of a linear axis.
+const HOME_LINEAR: [Unit; 4] = [
+    Unit("speed_mm_s", "speed_rad_s", 1.0 / LINEAR_MM_PER_RAD),
+    Unit("latch_mm_s", "latch_rad_s", 1.0 / LINEAR_MM_PER_RAD),
+    Unit("pull_off_mm", "pull_off_rad", 1.0 / LINEAR_MM_PER_RAD),
+    Unit("travel_max_mm", "travel_max_rad", 1.0 / LINEAR_MM_PER_RAD),
+];
+
 /// Lists with a value for each axis, in the axis's own unit: the name in the file and that of the controller's value.
 const OWN_UNITS: [[&str; 2]; 2] = [
     ["joint_speed", "joint_speed_rad_s"],
@@ -129,10 +137,20 @@ fn kind<'a>(table: &'a DeTable<'_>) -> Option<&'a str> {
         .as_str()
 }
 
+/// The table of a value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Within {
+    /// `[motion]`.
+    Motion,
+    /// An axis, from 0.
+    Axis(usize),
+    /// `home` of an axis, from 0.
+    Home(usize),
+}
+
 /// A value that replaces one or several others: where it stands, and its text.
 struct Converted {
-    /// Axis, from 0; `None` for a value of `[motion]`.
-    axis: Option<usize>,
+    place: Within,
     /// Name in the file.
     from: &'static str,
     /// Name of the controller's value.
@@ -193,8 +211,14 @@ impl File<'_> {
                 return Err(self.error(axis.span().start, format!("a machine has at most {AXES} axes")));
             }
             let is_linear = linear.get(number).copied().unwrap_or(false);
-            if let Some(values) = axis.get_ref().as_table().filter(|_| is_linear) {
+            let Some(values) = axis.get_ref().as_table() else {
+                continue;
+            };
+            if is_linear {
                 self.convert_axis(number, values, axis.span().start, &mut converted)?;
+            }
+            if let Some(home) = values.get("home").and_then(|home| home.get_ref().as_table()) {
+                self.convert_home(number, home, table, is_linear, &mut converted)?;
             }
         }
         let motion = table.get("motion").map(Spanned::get_ref).and_then(DeValue::as_table);
@@ -214,7 +238,7 @@ impl File<'_> {
         let axis = number + 1;
         let mut add = |from, to, value: f64| {
             converted.push(Converted {
-                axis: Some(number),
+                place: Within::Axis(number),
                 from,
                 to,
                 text: format!("{value:?}"),
@@ -241,6 +265,58 @@ impl File<'_> {
         }
         let gear = values.get("gear").map_or(Ok(1.0), |gear| self.number(gear, "gear"))?;
         add(PITCH, "gear", gear * TAU * LINEAR_MM_PER_RAD / pitch_mm);
+        Ok(())
+    }
+
+    /// Converts `home` of an axis: its values, and the name of its switch to the place in `io`.
+    fn convert_home(
+        &self,
+        number: usize,
+        home: &DeTable<'_>,
+        table: &DeTable<'_>,
+        is_linear: bool,
+        converted: &mut Vec<Converted>,
+    ) -> Result<(), ReadingError> {
+        let place = Within::Home(number);
+        for Unit(from, to, factor) in HOME_LINEAR.iter().filter(|_| is_linear) {
+            if let Some((written, _)) = home.get_key_value(*to) {
+                let text = format!("axis {} is linear: write {from} instead of {to}", number + 1);
+                return Err(self.error(written.span().start, text));
+            }
+            if let Some(value) = home.get(*from) {
+                let text = format!("{:?}", self.number(value, from)? * factor);
+                converted.push(Converted { place, from, to, text });
+            }
+        }
+        let Some(switch) = home.get("switch") else {
+            return Ok(());
+        };
+        let points = table.get("io").and_then(|io| io.get_ref().as_array());
+        let name_of = |point: &Spanned<DeValue<'_>>| {
+            point
+                .get_ref()
+                .as_table()?
+                .get("name")?
+                .get_ref()
+                .as_str()
+                .map(str::to_owned)
+        };
+        let wanted = switch.get_ref().as_str();
+        let found = points.and_then(|points| points.iter().position(|point| name_of(point).as_deref() == wanted));
+        let Some(io) = found.filter(|_| wanted.is_some()) else {
+            let text = format!(
+                "axis {}: there is no [[io]] with the name of its switch: name = \"{}\", role = \"home\"",
+                number + 1,
+                wanted.unwrap_or("x_home")
+            );
+            return Err(self.error(switch.span().start, text));
+        };
+        converted.push(Converted {
+            place,
+            from: "switch",
+            to: "io",
+            text: io.to_string(),
+        });
         Ok(())
     }
 
@@ -280,7 +356,7 @@ impl File<'_> {
         texts.extend(missing.into_iter().skip(texts.len()));
         let text = format!("{texts:?}");
         converted.push(Converted {
-            axis: None,
+            place: Within::Motion,
             from,
             to,
             text,
@@ -312,16 +388,26 @@ fn tables_mut<'a, 'i>(array: &'a mut Spanned<DeValue<'i>>) -> impl Iterator<Item
     })
 }
 
+/// A value that is a table.
+fn table_mut<'a, 'i>(value: &'a mut Spanned<DeValue<'i>>) -> Option<&'a mut DeTable<'i>> {
+    match value.get_mut() {
+        DeValue::Table(table) => Some(table),
+        _ => None,
+    }
+}
+
 /// Puts the converted values in the place of those that were written.
 fn apply<'a>(table: &mut DeTable<'a>, converted: &'a [Converted]) {
-    for Converted { axis, from, to, text } in converted {
+    for Converted { place, from, to, text } in converted {
         let Ok(value) = DeValue::parse(text) else { continue };
-        let within = match axis {
-            Some(axis) => table.get_mut("axes").and_then(|axes| tables_mut(axes).nth(*axis)),
-            None => table.get_mut("motion").and_then(|motion| match motion.get_mut() {
-                DeValue::Table(motion) => Some(motion),
-                _ => None,
-            }),
+        let within = match *place {
+            Within::Axis(axis) => table.get_mut("axes").and_then(|axes| tables_mut(axes).nth(axis)),
+            Within::Home(axis) => table
+                .get_mut("axes")
+                .and_then(|axes| tables_mut(axes).nth(axis))
+                .and_then(|values| values.get_mut("home"))
+                .and_then(table_mut),
+            Within::Motion => table.get_mut("motion").and_then(table_mut),
         };
         let Some(within) = within else { continue };
         let span = within.remove(*from).map_or(0..0, |written| written.span());

@@ -1,0 +1,168 @@
+//! Homing by switches: where the motors are afterwards, and what happens when a switch fails.
+
+use crate::robot::Robot;
+use crate::{STILL_RAD_S, assert_described_standstill};
+use etherpen::application::{Fault, Mode, Refusal};
+use etherpen::config::Config;
+use etherpen::control::search::SearchFailure;
+use etherpen::messages::Command;
+use host_tools::cell::{CellOptions, Fault as CellFault};
+use host_tools::settings::machines::MACHINES;
+
+/// How far a homed axis may be from where the controller believes it is, rad: 0.05 mm of a linear axis.
+const APART_RAD: f64 = 5e-4;
+/// Longest search of the gantry, ms.
+const SEARCH_MAX_MS: u32 = 30_000;
+
+fn gantry() -> Config {
+    MACHINES[1].load().unwrap()
+}
+
+/// A gantry with power that is not homed.
+fn powered(seed: u64) -> Robot {
+    let config = gantry();
+    let options = CellOptions {
+        seed,
+        ..CellOptions::default()
+    };
+    let mut robot = Robot::of(&config, options);
+    robot.configure(&config);
+    robot.wait_for(Mode::DrivesOff);
+    assert_eq!(robot.command(Command::Home), Err(Refusal::NeedsPower));
+    robot.command(Command::Enable).unwrap();
+    robot.wait_for(Mode::Unreferenced);
+    robot
+}
+
+/// Whether the controller knows where the motors are.
+fn assert_knows_its_pose(robot: &mut Robot) {
+    robot.run(100);
+    let truth = robot.cell().joints.0;
+    let believed = robot.samples.last().expect("samples").measured_rad;
+    for axis in 0..3 {
+        let apart_rad = (truth[axis] - f64::from(believed[axis])).abs();
+        assert!(apart_rad < APART_RAD, "axis {axis}: {apart_rad} rad");
+    }
+}
+
+#[test]
+fn a_gantry_finds_its_switches_from_wherever_it_stands_and_never_touches_an_end_stop() {
+    for seed in 1..=4 {
+        let mut robot = powered(seed);
+        let from = robot.cell().joints.0;
+        robot.command(Command::Home).unwrap();
+        robot.wait_for(Mode::Homing);
+        let mut fastest = [0.0_f64; 3];
+        let mut ms = 0;
+        while robot.mode() == Mode::Homing {
+            robot.run(1);
+            ms += 1;
+            assert!(ms < SEARCH_MAX_MS, "{:?}", robot.fault());
+            let speeds = robot.cell().velocities.0;
+            for (fastest, speed) in fastest.iter_mut().zip(speeds) {
+                *fastest = fastest.max(speed.abs());
+            }
+        }
+        assert_eq!((robot.mode(), robot.fault()), (Mode::Idle, None));
+        assert_knows_its_pose(&mut robot);
+        assert_eq!(robot.cell().end_stop_ms, 0);
+        // The speeds of the file, 60, 60 and 20 mm/s, and what a drive overshoots.
+        assert!(
+            fastest[0] < 0.66 && fastest[1] < 0.66 && fastest[2] < 0.22,
+            "{fastest:?}"
+        );
+        println!("seed {seed}: from {from:?} rad in {ms} ms, fastest {fastest:?} rad/s");
+    }
+}
+
+#[test]
+fn an_axis_that_stands_at_its_switch_leaves_it_first() {
+    let mut robot = powered(1);
+    robot.command(Command::Home).unwrap();
+    // The switch of the height stands at 3 mm.
+    robot.run_until("the first switch opens", |robot| robot.cell().joints.0[2] > 0.03);
+    // At its switch, the search is ended and begun again.
+    robot.command(Command::Cancel).unwrap();
+    robot.wait_for(Mode::Unreferenced);
+    robot.command(Command::Home).unwrap();
+    robot.run_until("homed", |robot| robot.mode() == Mode::Idle);
+    assert_knows_its_pose(&mut robot);
+}
+
+#[test]
+fn each_failure_of_a_switch_ends_at_standstill_with_its_cause_and_the_machine_comes_back() {
+    let failures: [(&str, SearchFailure, fn(&mut Robot, bool)); 2] = [
+        ("the wires are broken", SearchFailure::StaysOpen, |robot, fails| {
+            robot.change_cell(|cell| cell.break_switches(fails));
+        }),
+        ("the switches never open", SearchFailure::NeverOpens, |robot, fails| {
+            robot.change_cell(|cell| cell.remove_switches(fails));
+        }),
+    ];
+    for (what, expected, fail) in failures {
+        let mut robot = powered(2);
+        fail(&mut robot, true);
+        robot.command(Command::Home).unwrap();
+        assert_described_standstill(&mut robot, |fault| {
+            matches!(fault, Fault::HomingFailed { axis: 2, failure } if *failure == expected)
+                // Without switches the height runs against its end stop before its longest way is over.
+                || expected == SearchFailure::NeverOpens && matches!(fault, Fault::FollowingError { axis: 2, .. } | Fault::FeedbackDeviation { axis: 2, .. })
+        });
+        println!("{what}: {:?}", robot.fault());
+        fail(&mut robot, false);
+        comes_back(&mut robot);
+    }
+}
+
+/// Acknowledges, homes and ends enabled.
+fn comes_back(robot: &mut Robot) {
+    robot.command(Command::Acknowledge).unwrap();
+    robot.wait_for(Mode::DrivesOff);
+    robot.command(Command::Enable).unwrap();
+    robot.run_until("power", |robot| matches!(robot.mode(), Mode::Unreferenced | Mode::Idle));
+    robot.command(Command::Home).unwrap();
+    robot.run_until("homed", |robot| robot.mode() == Mode::Idle);
+    assert_eq!(robot.fault(), None);
+    assert_knows_its_pose(robot);
+}
+
+#[test]
+fn a_search_ends_at_a_stop_a_lost_terminal_a_lost_drive_and_a_silent_host() {
+    let mut robot = powered(3);
+    robot.command(Command::Home).unwrap();
+    robot.run(300);
+    robot.command(Command::Stop).unwrap();
+    assert_described_standstill(&mut robot, |fault| matches!(fault, Fault::EmergencyStop(_)));
+    comes_back(&mut robot);
+    let mut robot = powered(3);
+    robot.command(Command::Home).unwrap();
+    robot.run(300);
+    robot.plugged = false;
+    robot.run(900);
+    assert!(robot.speed_rad_s() < STILL_RAD_S, "nobody watches the search");
+    robot.plugged = true;
+    robot.wait_for(Mode::Unreferenced);
+    robot.command(Command::Home).unwrap();
+    robot.run_until("homed", |robot| robot.mode() == Mode::Idle);
+    assert_knows_its_pose(&mut robot);
+    for slave in [2, 4] {
+        let mut robot = powered(3);
+        robot.command(Command::Home).unwrap();
+        robot.run(300);
+        robot.inject(CellFault::Power(slave, 500));
+        assert_described_standstill(&mut robot, |fault| {
+            matches!(
+                fault,
+                Fault::SlaveLost { .. }
+                    | Fault::SlaveState { .. }
+                    | Fault::Drive { .. }
+                    | Fault::HomingFailed {
+                        failure: SearchFailure::Missing,
+                        ..
+                    }
+            )
+        });
+        robot.run(2_000);
+        comes_back(&mut robot);
+    }
+}
