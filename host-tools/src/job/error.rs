@@ -19,6 +19,8 @@ pub enum Phase {
     Configuring,
     /// Waiting for the bus to be operational.
     BusUp,
+    /// Waiting for the power that homing by switches needs.
+    Powering,
     /// Waiting for the joint angles to be referenced.
     Referencing,
     /// Waiting for the drives to hold the pose.
@@ -43,6 +45,7 @@ impl fmt::Display for Phase {
             Self::Acknowledging => "acknowledging a fault, or ending an abandoned drawing",
             Self::Configuring => "sending the configuration",
             Self::BusUp => "bringing up the bus",
+            Self::Powering => "switching the drives' power on to home",
             Self::Referencing => "homing",
             Self::Enabling => "enabling the drives",
             Self::Telling => "sending the command",

@@ -156,10 +156,13 @@ impl Job {
             Phase::Telling => self.tell(mode),
             Phase::BusUp => {
                 if matches!(mode, Mode::DrivesOff | Mode::Unreferenced | Mode::Idle) {
-                    self.ready(Ready::Bus, Phase::Referencing);
+                    let is_searched = !referenced && has_switches(&self.config);
+                    self.ready(Ready::Bus, if is_searched { Phase::Powering } else { Phase::Referencing });
                 }
             }
-            Phase::Referencing if referenced => self.ready(Ready::Referenced, Phase::Enabling),
+            Phase::Powering if mode != Mode::DrivesOff => self.enter(Phase::Referencing),
+            Phase::Powering => self.request(Command::Enable),
+            Phase::Referencing if referenced && mode != Mode::Homing => self.ready(Ready::Referenced, Phase::Enabling),
             Phase::Referencing => self.reference(mode),
             Phase::Enabling if mode == Mode::Idle => self.ready(Ready::Enabled, Phase::Starting),
             Phase::Enabling => self.request(Command::Enable),
@@ -246,7 +249,7 @@ impl Job {
         }
     }
 
-    /// Homes the joints, at their marks or by their switches, which needs power; fails if the reference at marks was lost or
+    /// Homes the joints, at their marks or by their switches; fails if the reference at marks was lost or
     /// the drawing does not allow it.
     fn reference(&mut self, mode: Mode) {
         let by_switches = has_switches(&self.config);
@@ -259,7 +262,6 @@ impl Job {
         match mode {
             // The firmware ends a search that takes too long.
             Mode::Homing => self.entered_ms = self.now_ms,
-            Mode::DrivesOff if by_switches => self.request(Command::Enable),
             _ => self.request(Command::Home),
         }
     }
