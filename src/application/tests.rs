@@ -85,7 +85,7 @@ impl Plant {
 
     fn bus_up() -> Self {
         let mut plant = Self::new();
-        plant.application.configured(500);
+        plant.application.configured(500, false);
         assert_eq!(plant.application.mode(), Mode::BusConfiguring);
         plant.application.bus(BusCondition::Operational);
         plant.run(1);

@@ -15,6 +15,7 @@ pub mod draw;
 pub mod emulate;
 pub mod endpoint;
 pub mod flash;
+pub mod home;
 pub mod identify;
 pub mod kinematics;
 mod latency;

@@ -1,7 +1,8 @@
-//! `etherpen reference`: takes the resolvers' angles as the robot's, at the marks or at a known pose, and stores them.
+//! `etherpen reference`, `etherpen home`: finds the pose by the home switches, or takes the resolvers' angles as the robot's, at the
+//! marks or at a known pose, and stores them.
 
 use super::ports::SessionPort;
-use super::{CellArguments, ConfigArguments, print_json};
+use super::{CellArguments, ConfigArguments, home, print_json};
 use crate::cell::{Cell, CellOptions};
 use crate::error::{ProgramError, code};
 use crate::job::reference::{Pose, ReferenceJob, Referenced, Wanted};
@@ -24,9 +25,12 @@ const SIMULATED_MAX_MS: u32 = 300_000;
 
 /// Options of `etherpen reference`.
 ///
+/// A machine with home switches powers its drives and goes to its switches; it moves. Without switches the drives may have
+/// power or not, and the robot is not moved.
+///
 /// A resolver is absolute within one motor turn; at a gear of 1:12 a joint repeats every 30 degrees. Without --pose and
-/// --position, the joints must be within half a motor turn (15 degrees) of their synchronisation marks. The drives may
-/// have power or not; the robot is not moved. If another program has the port, the reference is taken through it.
+/// --position, the joints must be within half a motor turn (15 degrees) of their synchronisation marks. If another
+/// program has the port, the reference is taken through it.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     /// Try it on the virtual cell, in virtual time.
@@ -60,6 +64,16 @@ pub struct Arguments {
     cell: CellArguments,
     #[command(flatten)]
     config: ConfigArguments,
+}
+
+impl Arguments {
+    /// Reads and checks the configuration.
+    ///
+    /// # Errors
+    /// The file and the place in it that cannot be used.
+    pub fn load_config(&self) -> Result<Config, ProgramError> {
+        self.config.load()
+    }
 }
 
 /// Numbers with commas between them.
@@ -155,6 +169,19 @@ fn wanted(arguments: &Arguments, kinematics: &Kinematics) -> Result<Wanted, Prog
 
 fn take(arguments: &Arguments, config: &Config, wanted: Wanted) -> Result<Referenced, ProgramError> {
     let physics = arguments.cell.load_if(arguments.simulate)?;
+    let at_marks = wanted.pose == Pose::Marks && wanted.position.is_none() && !wanted.calibrate;
+    if at_marks && home::has_switches(config) {
+        return match arguments.port.find_unless(arguments.simulate.then_some("--simulate"))? {
+            Some(name) => home::at_port(arguments, &name),
+            None => home::simulated(
+                config,
+                CellOptions {
+                    physics,
+                    ..CellOptions::default()
+                },
+            ),
+        };
+    }
     let mut job = ReferenceJob::new(config.clone(), wanted, session_number()).acknowledging(arguments.acknowledge);
     match arguments.port.find_unless(arguments.simulate.then_some("--simulate"))? {
         Some(name) => {

@@ -157,7 +157,14 @@ impl Job {
             Phase::BusUp => {
                 if matches!(mode, Mode::DrivesOff | Mode::Unreferenced | Mode::Idle) {
                     let is_searched = !referenced && has_switches(&self.config);
-                    self.ready(Ready::Bus, if is_searched { Phase::Powering } else { Phase::Referencing });
+                    self.ready(
+                        Ready::Bus,
+                        if is_searched {
+                            Phase::Powering
+                        } else {
+                            Phase::Referencing
+                        },
+                    );
                 }
             }
             Phase::Powering if mode != Mode::DrivesOff => self.enter(Phase::Referencing),

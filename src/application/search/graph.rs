@@ -30,6 +30,8 @@ pub(super) enum Event {
     Powered,
     Homed,
     HomingFailed,
+    Searched,
+    SearchEnded,
     AtRest,
     HostSilent,
     PowerOff,
@@ -40,7 +42,7 @@ pub(super) enum Event {
 impl Event {
     pub(super) fn of(before: &Application, step: Move, after: &Application) -> Self {
         match step {
-            Move::Configure => Self::Configuration,
+            Move::Configure(_) => Self::Configuration,
             Move::Command(command) => {
                 let told = format!("{command:?}");
                 let name = told.split([' ', '(']).next().unwrap_or_default();
@@ -52,6 +54,8 @@ impl Event {
                 Some(fault) => Self::Fault(told(&fault)),
                 None if before.stop.is_some() => Self::PowerOff,
                 None if before.recovering_since_ms.is_some() => Self::Recovered,
+                None if before.mode == Mode::Homing && after.mode == Mode::Idle => Self::Searched,
+                None if before.mode == Mode::Homing => Self::SearchEnded,
                 None if before.enabling == Enabling::No && after.mode == Mode::Holding => Self::HostSilent,
                 None => match before.enabling {
                     Enabling::Powering { .. } => Self::Powered,
@@ -76,6 +80,8 @@ impl Event {
             Self::Powered => "Enable",
             Self::Homed => "Home",
             Self::HomingFailed => "Home failed",
+            Self::Searched => "switches found",
+            Self::SearchEnded => "Cancel",
             Self::AtRest => "at rest",
             Self::HostSilent => "host silent",
             Self::PowerOff => "brakes, power off",
@@ -93,6 +99,8 @@ impl Event {
             Self::Powered => "`Enable`, then drives powered".to_string(),
             Self::Homed => "`Home`, then angles known".to_string(),
             Self::HomingFailed => "`Home`, no angles in time".to_string(),
+            Self::Searched => "home switches found".to_string(),
+            Self::SearchEnded => "`Cancel` or host silent, then at rest".to_string(),
             Self::AtRest => "motion ended, at rest".to_string(),
             Self::HostSilent => "host silent".to_string(),
             Self::PowerOff => "standstill, brakes, power off".to_string(),

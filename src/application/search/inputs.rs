@@ -78,9 +78,11 @@ pub(super) enum Change {
     Fault,
     HostSilent,
     Stalled,
+    /// A search for the home switches ends, with the angles or without.
+    Searched(bool),
 }
 
-pub(super) const CHANGES: [Change; 12] = [
+pub(super) const CHANGES: [Change; 14] = [
     Change::Nothing,
     Change::Powered(true),
     Change::Powered(false),
@@ -93,4 +95,6 @@ pub(super) const CHANGES: [Change; 12] = [
     Change::Fault,
     Change::HostSilent,
     Change::Stalled,
+    Change::Searched(true),
+    Change::Searched(false),
 ];

@@ -108,7 +108,7 @@ fn every_state_leads_back_to_idle_and_no_refused_command_has_an_effect() {
     let found = &*FOUND;
     println!("{} states, {} transitions", found.states.len(), found.transitions);
     println!("{:?}", found.modes);
-    assert_eq!(found.modes.len(), 10, "every mode is reached");
+    assert_eq!(found.modes.len(), 11, "every mode is reached");
     let mut known = HashMap::new();
     let (mut longest_ms, mut most_commands) = (0, 0);
     for state in &found.states {

@@ -6,7 +6,7 @@
 
 extern crate std;
 
-use super::super::step::{RESET_MS, SETTLE_MS};
+use super::super::step::{RESET_MS, SEARCH_BEGINS_MS, SETTLE_MS};
 use super::super::*;
 use super::inputs::{ANSWERS, BLIND, CHANGES, COMMANDS, Change, DRIVE, NEWS};
 use super::trajectory::{Data, Doing, Model};
@@ -17,7 +17,8 @@ use std::vec::Vec;
 /// One transition.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Move {
-    Configure,
+    /// A configuration, of a machine with home switches or without.
+    Configure(bool),
     Command(Command),
     Bus(BusCondition),
     /// The trajectory task runs and reports.
@@ -33,7 +34,7 @@ impl Move {
     pub(super) fn all(state: &State) -> Vec<Self> {
         let mut moves: Vec<Self> = COMMANDS.into_iter().map(Self::Command).collect();
         if state.application.may_configure() {
-            moves.push(Self::Configure);
+            moves.extend([false, true].map(Self::Configure));
         }
         moves.extend(NEWS.into_iter().map(Self::Bus));
         if state.supervisor_asked {
@@ -71,7 +72,7 @@ pub(super) struct Key {
     stop: (u8, u8),
     recovering: Option<u8>,
     motion: u8,
-    flags: [bool; 12],
+    flags: [bool; 14],
     power: u8,
     epochs: [Option<bool>; 2],
     trajectory: Model,
@@ -168,7 +169,10 @@ impl State {
             application.mode,
             Mode::Moving | Mode::Drawing | Mode::Holding | Mode::Stopping
         );
-        let motion = (moves.then_some(application.motion_started_ms), [SETTLE_MS].as_slice());
+        let motion = match application.mode {
+            Mode::Homing => (Some(application.motion_started_ms), [SEARCH_BEGINS_MS + 1].as_slice()),
+            _ => (moves.then_some(application.motion_started_ms), [SETTLE_MS].as_slice()),
+        };
         [enabling, stop, recovering, motion]
     }
 
@@ -208,6 +212,8 @@ impl State {
             flags: [
                 application.cancelling,
                 application.has_configuration,
+                application.has_switches,
+                condition.searching,
                 condition.standstill,
                 condition.silent.is_some(),
                 condition.drive_fault.is_some(),
@@ -271,6 +277,7 @@ impl State {
             Change::Powered(false) => condition.powered,
             Change::DriveFault => condition.drive_fault.is_none() || power == Power::FaultReset,
             Change::Referenced(true) => condition.unreferenced.is_some() && self.taking,
+            Change::Searched(_) => condition.searching,
             Change::Referenced(false) => condition.unreferenced.is_none(),
             Change::Fault => condition.fault.is_none(),
             Change::Stalled => !self.progress().idle && self.is_followed(),
@@ -295,6 +302,10 @@ impl State {
                 };
             }
             Change::Referenced(referenced) => condition.unreferenced = (!referenced).then_some(3),
+            Change::Searched(found) => {
+                condition.searching = false;
+                condition.unreferenced = if found { None } else { condition.unreferenced };
+            }
             Change::Interlock => {
                 condition.interlock = match condition.interlock {
                     Some(_) => None,
@@ -328,8 +339,8 @@ impl State {
         self.actions.clear();
         self.refused = false;
         match step {
-            Move::Configure => {
-                self.application.configured(500);
+            Move::Configure(has_switches) => {
+                self.application.configured(500, has_switches);
                 self.order(&MotionOrder::Configure(
                     crate::config::Config::default().motion_settings(),
                 ));
@@ -385,6 +396,7 @@ impl State {
                 Action::Power(power) => {
                     if power != Power::On {
                         self.followed = None;
+                        self.condition.searching = false;
                     }
                     if matches!(power, Power::QuickStop | Power::Off) {
                         self.order(&MotionOrder::Abandon);
@@ -393,6 +405,9 @@ impl State {
                 Action::ClearFault => self.condition.fault = None,
                 Action::Home { .. } => (self.followed, self.taking) = (None, true),
                 Action::Place { pose, epoch } => self.order(&MotionOrder::Place { pose, epoch }),
+                Action::Search => (self.followed, self.condition.searching) = (None, true),
+                // The axes need time to stop: the end comes by itself.
+                Action::EndSearch => {}
                 Action::Follow { epoch } => self.followed = Some(epoch),
                 Action::BeginPath => self.order(&MotionOrder::BeginPath),
                 Action::Motion(command) => self.order(&MotionOrder::Command(command)),
@@ -414,7 +429,10 @@ impl State {
                 told()
             );
         }
-        let (enables, configures) = (step == Move::Command(Command::Enable), step == Move::Configure);
+        let (enables, configures) = (
+            step == Move::Command(Command::Enable),
+            matches!(step, Move::Configure(_)),
+        );
         let powers = self.actions.contains(&Action::Power(Power::On));
         assert!(
             !powers || enables && old.mode == Mode::DrivesOff && old.has_configuration,
@@ -450,6 +468,13 @@ impl State {
             told()
         );
         let is_fault = application.mode == Mode::Fault;
+        // Axes are led to their switches with power only, and nothing else moves them meanwhile.
+        let searches = application.mode == Mode::Homing;
+        assert!(
+            !searches || application.power == Power::On && self.followed.is_none(),
+            "a search beside a path: {}",
+            told()
+        );
         assert!(
             !is_fault || application.fault.is_some(),
             "a fault without a cause: {}",
@@ -516,8 +541,8 @@ impl State {
         let busy = application.enabling != Enabling::No || application.recovering_since_ms.is_some();
         let wanted = match application.mode {
             _ if busy => None,
-            Mode::Startup => Some(Move::Configure),
-            Mode::DrivesOff if !referenced => Some(Move::Command(Command::Home)),
+            Mode::Startup => Some(Move::Configure(application.has_switches)),
+            Mode::DrivesOff if !referenced && !application.has_switches => Some(Move::Command(Command::Home)),
             Mode::Unreferenced => Some(Move::Command(Command::Home)),
             Mode::DrivesOff => Some(Move::Command(Command::Enable)),
             Mode::Moving | Mode::Drawing | Mode::Holding if !self.progress().idle => {
@@ -530,9 +555,10 @@ impl State {
             self.make(step);
             !self.refused
         });
-        if self.taking {
+        if self.taking || self.condition.searching {
             self.condition.unreferenced = None;
         }
+        self.condition.searching = false;
         let before = self.key();
         self.pass(1, Change::Nothing, Change::Nothing);
         let mut ms = 1;
