@@ -81,7 +81,10 @@ fn the_monitors_steepest_change_holds_over_each_work_area() {
                 steepest = rows.slope.iter().fold(steepest, |most, slope| most.max(slope.abs()));
             }
         }
-        assert!(steepest > 0.2 * most && steepest <= most, "{kind:?}: {steepest} of {most} rad/mm");
+        assert!(
+            steepest > 0.2 * most && steepest <= most,
+            "{kind:?}: {steepest} of {most} rad/mm"
+        );
     }
 }
 

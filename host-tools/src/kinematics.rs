@@ -5,7 +5,8 @@
 
 use crate::error::{ProgramError, code};
 use etherpen::robots::{
-    Conditioning, DeltaGeometry, Geometry, JointAngles, Kinematics, KinematicsError, MAIN_AXES, Measured, Position, RATIO_SINGULAR,
+    Conditioning, DeltaGeometry, Geometry, JointAngles, Kinematics, KinematicsError, MAIN_AXES, Measured, Position,
+    RATIO_SINGULAR,
 };
 use serde::Serialize;
 
@@ -56,8 +57,8 @@ impl Robot {
     }
 
     fn of(geometry: &Geometry, range_rad: Option<[f64; 2]>) -> Result<Self, String> {
-        let kinematics = Kinematics::new(geometry)
-            .map_err(|cause| format!("the dimensions do not form a valid robot: {cause}"))?;
+        let kinematics =
+            Kinematics::new(geometry).map_err(|cause| format!("the dimensions do not form a valid robot: {cause}"))?;
         Ok(Self { kinematics, range_rad })
     }
 

@@ -227,7 +227,10 @@ mod tests {
     #[test]
     fn a_robot_without_errors_stands_where_the_controller_computes() {
         let geometry = Geometry::default();
-        let (truth, believed) = (TrueDelta::new(&DeltaGeometry::default()), Kinematics::new(&geometry).expect("valid"));
+        let (truth, believed) = (
+            TrueDelta::new(&DeltaGeometry::default()),
+            Kinematics::new(&geometry).expect("valid"),
+        );
         for (a, b, c) in [(0.3, 0.3, 0.3), (0.9, 0.1, -0.2), (0.0, 1.2, 0.5)] {
             let joints = JointAngles([a, b, c, 0.0]);
             let expected = believed.forward(&joints).expect("a pose");

@@ -78,7 +78,10 @@ mod tests {
     fn equal_carriages_hold_the_platform_on_the_axis_at_the_height_that_pythagoras_gives() {
         let [x, y, z] = LinearDelta::new(&KOSSEL).tool([TAU * 8.0; 3]).unwrap();
         let expected = 320.0 - (265.0_f64 * 265.0 - 134.0 * 134.0).sqrt();
-        assert!(x.abs() < 1e-9 && y.abs() < 1e-9 && (z - expected).abs() < 1e-9, "{x} {y} {z}");
+        assert!(
+            x.abs() < 1e-9 && y.abs() < 1e-9 && (z - expected).abs() < 1e-9,
+            "{x} {y} {z}"
+        );
     }
 
     #[test]

@@ -105,9 +105,7 @@ impl<'de> Deserialize<'de> for Key {
             }
 
             fn visit_str<E: Error>(self, name: &str) -> Result<Key, E> {
-                String::try_from(name)
-                    .map(Key)
-                    .map_err(|_| E::unknown_field(name, &[]))
+                String::try_from(name).map(Key).map_err(|_| E::unknown_field(name, &[]))
             }
         }
         deserializer.deserialize_str(KeyVisitor)

@@ -7,9 +7,7 @@
 use super::geometry::GeometryError;
 use super::linear::{Linear, angles_rad, check_stroke};
 use super::vector::Vector;
-use super::{
-    ConditioningMin, JointAngles, JointRanges, JointRows, KinematicsError, MAIN_AXES, Position, Words,
-};
+use super::{ConditioningMin, JointAngles, JointRanges, JointRows, KinematicsError, MAIN_AXES, Position, Words};
 use crate::bounds::{Bound, bound};
 use crate::settings::WorkVolume;
 use serde::{Deserialize, Serialize};
@@ -188,9 +186,47 @@ impl Gantry {
     /// [`KinematicsError::NotFinite`].
     pub(super) fn forward(&self, joints: &JointAngles) -> Result<Position, KinematicsError> {
         let ([x, y, z, _], [of_x, of_y, of_z]) = (joints.0, &self.axes);
-        super::finite(
-            joints,
-            [x * of_x.mm_per_rad, y * of_y.mm_per_rad, z * of_z.mm_per_rad],
-        )
+        super::finite(joints, [x * of_x.mm_per_rad, y * of_y.mm_per_rad, z * of_z.mm_per_rad])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use core::f64::consts::TAU;
+
+    #[test]
+    fn a_travel_is_a_turn_of_the_pulley() {
+        let gantry = Gantry::new(&GantryGeometry::default()).unwrap();
+        let at = |x_mm, y_mm, z_mm| gantry.inverse(&Position { x_mm, y_mm, z_mm });
+        assert_eq!(at(40.0, 120.0, -4.0), Ok([TAU, 3.0 * TAU, -0.5 * TAU]));
+        assert!(matches!(
+            at(600.5, 0.0, 0.0),
+            Err(KinematicsError::Range { joint: 0, .. })
+        ));
+        assert!(matches!(
+            at(0.0, -0.5, 0.0),
+            Err(KinematicsError::Range { joint: 1, .. })
+        ));
+        assert!(matches!(
+            at(0.0, 0.0, -60.5),
+            Err(KinematicsError::Range { joint: 2, .. })
+        ));
+        assert_eq!(at(f64::NAN, 0.0, 0.0), Err(KinematicsError::NotFinite));
+    }
+
+    #[test]
+    fn dimensions_that_do_not_form_a_machine_are_refused() {
+        let refuse = |change: fn(&mut GantryGeometry)| {
+            let mut geometry = GantryGeometry::default();
+            change(&mut geometry);
+            Gantry::new(&geometry).unwrap_err()
+        };
+        assert_eq!(refuse(|g| g.x_mm_per_turn = f64::NAN), GeometryError::NotFinite);
+        assert_eq!(refuse(|g| g.y_range_mm[1] = f64::INFINITY), GeometryError::NotFinite);
+        let travel = refuse(|g| g.z_mm_per_turn = 0.0);
+        assert_eq!(travel, GeometryError::Travel { mm_per_turn: 0.0 });
+        let stroke = refuse(|g| g.x_range_mm = [5.0, 5.0]);
+        assert!(matches!(stroke, GeometryError::Stroke { .. }));
     }
 }

@@ -34,13 +34,7 @@ pub enum Kind {
 
 impl Kind {
     /// All kinds.
-    pub const ALL: [Self; 5] = [
-        Self::Delta,
-        Self::Gantry,
-        Self::CoreXy,
-        Self::Scara,
-        Self::LinearDelta,
-    ];
+    pub const ALL: [Self; 5] = [Self::Delta, Self::Gantry, Self::CoreXy, Self::Scara, Self::LinearDelta];
 
     /// The name in configuration files.
     #[must_use]

@@ -108,7 +108,10 @@ impl fmt::Display for LinearDeltaError {
                  longer than the radius"
             ),
             Self::Towers { first_deg, second_deg } => {
-                write!(f, "towers at {first_deg} and {second_deg} degrees are in line with the axis")
+                write!(
+                    f,
+                    "towers at {first_deg} and {second_deg} degrees are in line with the axis"
+                )
             }
         }
     }
@@ -190,7 +193,11 @@ impl LinearDelta {
     pub(super) fn new(geometry: &LinearDeltaGeometry) -> Result<Self, GeometryError> {
         let (radius_mm, rod_mm) = (geometry.radius_mm, geometry.rod_mm);
         let azimuths = geometry.tower_azimuths_deg;
-        if ![radius_mm, rod_mm].iter().chain(&azimuths).all(|value| value.is_finite()) {
+        if ![radius_mm, rod_mm]
+            .iter()
+            .chain(&azimuths)
+            .all(|value| value.is_finite())
+        {
             return Err(GeometryError::NotFinite);
         }
         if !(radius_mm > 0.0 && rod_mm > radius_mm) {
@@ -336,5 +343,106 @@ impl LinearDelta {
         lower_meeting(&centres, self.rod_mm)
             .map(Position::from)
             .ok_or(KinematicsError::Apart)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use core::f64::consts::TAU;
+
+    /// Values in mm of the carriages, 1e-9 of which an angle may differ.
+    fn check(angles: [f64; TOWERS], expected_mm: [f64; TOWERS]) {
+        for (angle, expected) in angles.iter().zip(expected_mm) {
+            assert!(
+                (angle * 40.0 / TAU - expected).abs() < 1.0e-9,
+                "{angles:?}, {expected_mm:?}"
+            );
+        }
+    }
+
+    /// Calculated with numpy and checked against differences.
+    #[test]
+    fn carriages_and_derivatives_are_those_of_the_golden_points() {
+        let robot = LinearDelta::new(&LinearDeltaGeometry::default()).unwrap();
+        for (point, tangent, bend, q, slope, second) in [
+            (
+                [0.0, 0.0, 100.0],
+                [1.0, 0.0, 0.0],
+                [0.0, 0.01, 0.0],
+                [328.624_145_706_441; 3],
+                [0.0, -0.507_590_323_623, 0.507_590_323_623],
+                [0.001_487_157_006, -0.008_431_515_100, -0.008_431_515_100],
+            ),
+            (
+                [60.0, -45.0, 20.0],
+                [0.6, 0.8, 0.0],
+                [-0.008, 0.006, 0.0],
+                [205.967_739_137_733, 216.845_908_027_437, 278.069_154_477_736],
+                [0.576_444_067_649, -0.626_014_752_855, 0.062_109_098_225],
+                [0.001_192_208_057, -0.000_586_830_781, -0.006_138_807_159],
+            ),
+            (
+                [-80.0, 30.0, 0.0],
+                [0.0, 0.6, 0.8],
+                [0.0; 3],
+                [230.236_834_585_607, 243.960_211_217_195, 149.604_195_605_811],
+                [1.071_025_268_882, 0.561_436_507_578, 0.410_973_477_286],
+                [-0.001_882_647_045, -0.001_708_936_625, -0.003_417_963_202],
+            ),
+        ] {
+            check(robot.inverse(&point.into()).unwrap(), q);
+            let rows = robot.rows(&point, &tangent, &bend);
+            check(rows.slope, slope);
+            check(rows.bend, second);
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_reached_names_the_carriage_and_the_reason() {
+        let robot = LinearDelta::new(&LinearDeltaGeometry::default()).unwrap();
+        let at = |x_mm, y_mm, z_mm| robot.inverse(&Position { x_mm, y_mm, z_mm });
+        // The first tower stands at y = 134 mm.
+        assert!(matches!(
+            at(0.0, -132.0, 50.0),
+            Err(KinematicsError::Unreachable { joint: 0, .. })
+        ));
+        assert!(matches!(
+            at(0.0, -131.0, 50.0),
+            Err(KinematicsError::Singular { joint: 0, .. })
+        ));
+        assert!(matches!(
+            at(0.0, 0.0, 340.0),
+            Err(KinematicsError::Range { joint: 0, .. })
+        ));
+        assert!(matches!(
+            at(0.0, 0.0, -170.0),
+            Err(KinematicsError::Range { joint: 0, .. })
+        ));
+        assert_eq!(at(0.0, 0.0, f64::INFINITY), Err(KinematicsError::NotFinite));
+        let apart = robot.forward(&JointAngles([0.0, 100.0, 0.0, 0.0]));
+        assert_eq!(apart, Err(KinematicsError::Apart));
+    }
+
+    #[test]
+    fn dimensions_that_do_not_form_a_robot_are_refused() {
+        let refuse = |change: fn(&mut LinearDeltaGeometry)| {
+            let mut geometry = LinearDeltaGeometry::default();
+            change(&mut geometry);
+            LinearDelta::new(&geometry).unwrap_err()
+        };
+        assert_eq!(refuse(|g| g.rod_mm = f64::NAN), GeometryError::NotFinite);
+        let rods = refuse(|g| g.rod_mm = 134.0);
+        assert!(matches!(
+            rods,
+            GeometryError::LinearDelta(LinearDeltaError::Rods { .. })
+        ));
+        let towers = refuse(|g| g.tower_azimuths_deg = [90.0, 270.0, 330.0]);
+        assert!(matches!(
+            towers,
+            GeometryError::LinearDelta(LinearDeltaError::Towers { .. })
+        ));
+        let travel = refuse(|g| g.carriage_mm_per_turn = -40.0);
+        assert!(matches!(travel, GeometryError::Travel { .. }));
     }
 }

@@ -26,10 +26,6 @@ pub(super) fn lower_meeting([origin, second, third]: &[Vector; 3], radius_mm: f6
     } else {
         root(depth_squared)
     };
-    let point = add_scaled(
-        &add_scaled(&add_scaled(origin, &x_axis, x), &y_axis, y),
-        &z_axis,
-        depth,
-    );
+    let point = add_scaled(&add_scaled(&add_scaled(origin, &x_axis, x), &y_axis, y), &z_axis, depth);
     point.iter().all(|value| value.is_finite()).then_some(point)
 }
