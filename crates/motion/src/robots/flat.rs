@@ -252,7 +252,10 @@ mod tests {
     fn a_written_table_is_read_again() {
         for kind in Kind::ALL {
             let text = toml::to_string(&kind.geometry()).unwrap();
-            assert!(text.starts_with(&std::format!("kind = \"{}\"\n", kind.name())), "{text}");
+            assert!(
+                text.starts_with(&std::format!("kind = \"{}\"\n", kind.name())),
+                "{text}"
+            );
             assert_eq!(read(&text), Ok(kind.geometry()), "{text}");
         }
     }
@@ -263,7 +266,10 @@ mod tests {
             ("kind = \"hexapod\"", "unknown variant `hexapod`"),
             ("kind = \"gantry\"\nforearm_mm = 800.0", "unknown field `forearm_mm`"),
             ("rod_mm = 265.0", "unknown field `rod_mm`"),
-            ("kind = \"scara\"\nelbow = 0.5", "invalid type: floating point `0.5`, expected i8"),
+            (
+                "kind = \"scara\"\nelbow = 0.5",
+                "invalid type: floating point `0.5`, expected i8",
+            ),
             ("kind = \"scara\"\nelbow = 1000", "1000"),
             ("x_range_mm = [0.0, [1.0]]", "a list of lists"),
             ("kind = \"gantry\"\nx_range_mm = [0.0]", "invalid length 1"),

@@ -18,17 +18,17 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
-    /// Three arms that turn, with forearms to a common platform.
+    /// A delta robot.
     #[default]
     Delta,
-    /// Three linear axes at right angles.
+    /// A gantry: three linear axes at right angles.
     Gantry,
     /// Two crossed belts for x and y, and a linear axis for z.
     #[serde(rename = "corexy")]
     CoreXy,
-    /// Two links that turn in the horizontal plane, and a linear axis for z.
+    /// A SCARA: two links that turn in the horizontal plane, and a linear axis for z.
     Scara,
-    /// Three carriages on towers, with rods to a common platform.
+    /// A linear delta.
     LinearDelta,
 }
 
@@ -171,7 +171,7 @@ impl Geometry {
             Self::Gantry(geometry) => corner_mm(geometry.x_range_mm, geometry.y_range_mm),
             Self::CoreXy(geometry) => corner_mm(geometry.x_range_mm, geometry.y_range_mm),
             Self::Scara(geometry) => geometry.reach_mm(),
-            Self::LinearDelta(geometry) => geometry.rod_mm,
+            Self::LinearDelta(geometry) => geometry.reach_mm(),
         }
     }
 
@@ -188,7 +188,7 @@ impl Geometry {
     }
 
     /// Highest speed and acceleration that any joint may be allowed, rad/s and rad/s2. A pulley or screw turns many
-    /// times where an arm turns a part of once.
+    /// times where another joint turns a part of once.
     #[must_use]
     pub fn joint_limits_max(&self) -> (f64, f64) {
         match self {
@@ -213,7 +213,7 @@ impl Geometry {
     #[must_use]
     pub fn ranges_with_margin_rad(&self) -> [[f64; 2]; MAIN_AXES] {
         let margins = match self {
-            Self::Delta(geometry) => [geometry.arm_margin_rad; MAIN_AXES],
+            Self::Delta(geometry) => geometry.margins_rad(),
             Self::Gantry(geometry) => geometry.margins_rad(),
             Self::CoreXy(geometry) => geometry.margins_rad(),
             Self::Scara(geometry) => geometry.margins_rad(),

@@ -137,6 +137,11 @@ impl LinearDeltaGeometry {
         ]
     }
 
+    /// Largest distance of the platform from the axis that the rods' length allows, mm.
+    pub(super) fn reach_mm(&self) -> f64 {
+        self.rod_mm
+    }
+
     /// Lowest and highest z that the carriages' range and the rods allow, mm.
     pub(super) fn heights_mm(&self) -> [f64; 2] {
         let [low_mm, high_mm] = self.carriage_range_mm;

@@ -25,7 +25,7 @@ fn positions(settings: &Settings, count: usize) -> impl Iterator<Item = Position
     })
 }
 
-/// The usual machines, a narrow one of some kinds, and both sides of the elbow.
+/// The usual machines, both sides on which a joint may stand, and unequal azimuths.
 fn machines() -> impl Iterator<Item = (Settings, Kinematics)> {
     let other_side = Geometry::Scara(ScaraGeometry {
         elbow: -1,
@@ -215,7 +215,7 @@ proptest! {
     }
 
     #[test]
-    fn no_dimensions_panic(values in proptest::array::uniform8(proptest::num::f64::ANY), elbow in proptest::num::i8::ANY) {
+    fn no_dimensions_panic(values in proptest::array::uniform8(proptest::num::f64::ANY), side in proptest::num::i8::ANY) {
         let [a, b, c, d, e, f, g, h] = values;
         let geometries = [
             Geometry::Gantry(GantryGeometry {
@@ -227,7 +227,7 @@ proptest! {
                 ..CoreXyGeometry::default()
             }),
             Geometry::Scara(ScaraGeometry {
-                inner_link_mm: a, outer_link_mm: b, elbow, shoulder_range_rad: [c, d], elbow_range_rad: [e, f],
+                inner_link_mm: a, outer_link_mm: b, elbow: side, shoulder_range_rad: [c, d], elbow_range_rad: [e, f],
                 z_mm_per_turn: g, margin_rad: h, ..ScaraGeometry::default()
             }),
             Geometry::LinearDelta(LinearDeltaGeometry {
