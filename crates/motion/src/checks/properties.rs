@@ -6,15 +6,16 @@ use crate::WorkArea;
 use crate::settings::Orientation;
 
 /// Random limits, tolerances and options.
-fn varied(random: &mut Random) -> Settings {
-    let mut settings = Settings::default();
+fn varied(random: &mut Random, bench: &Bench) -> Settings {
+    let mut settings = bench.settings.clone();
     let motion = &mut settings.motion;
     motion.speed_mm_s = random.between(50.0, 2_000.0);
     motion.travel_speed_mm_s = motion.speed_mm_s * random.between(1.0, 3.0);
     motion.acceleration_mm_s2 = libm::pow(10.0, random.between(3.0, 5.0));
     for axis in 0..AXES {
-        motion.joint_speed_rad_s[axis] = random.between(1.0, 30.0);
-        motion.joint_acceleration_rad_s2[axis] = libm::pow(10.0, random.between(1.5, 3.0));
+        // Of the default machine: 1 to 30 rad/s, 32 to 1,000 rad/s2.
+        motion.joint_speed_rad_s[axis] *= random.between(0.04, 1.2);
+        motion.joint_acceleration_rad_s2[axis] *= libm::pow(10.0, random.between(-0.9, 0.6));
     }
     motion.tolerance_mm = random.between(0.01, 0.3);
     motion.travel_tolerance_mm = motion.tolerance_mm * random.between(1.0, 10.0);
@@ -32,9 +33,9 @@ fn varied(random: &mut Random) -> Settings {
     settings
 }
 
-/// Strokes of all characters, lowered and lifted straight or on a slant.
+/// Strokes of all characters, lowered and lifted straight or on a slant, on the default machine's sheet.
 fn varied_path(random: &mut Random, settings: &Settings) -> Vec<Vertex> {
-    let down = settings.paper.pen_down_z_mm;
+    let down = Settings::default().paper.pen_down_z_mm;
     let up = down + settings.paper.pen_lift_mm;
     let mut path = Vec::new();
     for stroke in 0..1 + random.below(3) as u32 {
@@ -109,32 +110,53 @@ fn check_held(random: &mut Random, settings: &Settings, path: &[Vertex], periods
     assert_eq!(run.trajectory.executed() as usize, path.len(), "{name}");
 }
 
-fn check_seeds(seeds: core::ops::Range<u64>) {
+fn check_seeds(kind: Kind, seeds: core::ops::Range<u64>) {
+    let bench = Bench::new(kind);
     let (mut worst, mut samples) = ([0.0_f64; KINDS], 0);
     for seed in seeds {
         let mut random = Random::new(seed);
-        let settings = varied(&mut random);
-        let path = varied_path(&mut random, &settings);
-        let name = format!("seed {seed}");
+        let settings = varied(&mut random, &bench);
+        let path = bench.fitted(&varied_path(&mut random, &settings));
+        let name = format!("{kind:?}, seed {seed}");
         let run = Run::new(&settings, &path).whole();
         samples += run.setpoints.len();
         for (all, one) in worst.iter_mut().zip(check_whole(&run, &name)) {
             *all = all.max(one);
         }
         let periods = run.setpoints.len() / PERIOD_MS;
-        check_held(&mut random, &settings, &path, periods, &format!("seed {seed}, held"));
+        check_held(&mut random, &settings, &path, periods, &format!("{name}, held"));
     }
     println!("worst parts of the limits in {samples} samples: {worst:?}");
 }
 
 #[test]
 fn five_hundred_random_paths_keep_all_limits_whole_and_held() {
-    check_seeds(1..501);
+    check_seeds(Kind::Delta, 1..501);
 }
 
 #[test]
 fn another_five_hundred_random_paths_keep_all_limits_whole_and_held() {
-    check_seeds(501..1001);
+    check_seeds(Kind::Delta, 501..1001);
+}
+
+#[test]
+fn random_paths_on_a_gantry_keep_all_limits_whole_and_held() {
+    check_seeds(Kind::Gantry, 1..201);
+}
+
+#[test]
+fn random_paths_on_crossed_belts_keep_all_limits_whole_and_held() {
+    check_seeds(Kind::CoreXy, 1..201);
+}
+
+#[test]
+fn random_paths_on_a_scara_keep_all_limits_whole_and_held() {
+    check_seeds(Kind::Scara, 1..201);
+}
+
+#[test]
+fn random_paths_on_a_linear_delta_keep_all_limits_whole_and_held() {
+    check_seeds(Kind::LinearDelta, 1..201);
 }
 
 #[test]

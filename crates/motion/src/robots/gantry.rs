@@ -5,7 +5,7 @@
 //! Invariant: a result is finite or an error; no input panics.
 
 use super::geometry::GeometryError;
-use super::linear::{Linear, angles_rad, check_stroke};
+use super::linear::{BELT_LIMITS, LIFT_LIMITS, Linear, angles_rad, check_stroke, limits_rad};
 use super::vector::Vector;
 use super::{ConditioningMin, JointAngles, JointRanges, JointRows, KinematicsError, MAIN_AXES, Position, Words};
 use crate::bounds::{Bound, bound};
@@ -98,6 +98,15 @@ impl GantryGeometry {
             let [_, margin] = angles_rad([0.0, self.margin_mm], travel);
             margin
         })
+    }
+
+    /// Usual highest speed and acceleration of each main axis, rad/s and rad/s2.
+    pub(super) fn usual_limits(&self) -> [[f64; 2]; MAIN_AXES] {
+        [
+            limits_rad(BELT_LIMITS, self.x_mm_per_turn),
+            limits_rad(BELT_LIMITS, self.y_mm_per_turn),
+            limits_rad(LIFT_LIMITS, self.z_mm_per_turn),
+        ]
     }
 
     /// The volume that the ranges leave without their margins.

@@ -250,6 +250,18 @@ impl Geometry {
         }
     }
 
+    /// Usual highest speed and acceleration of each main axis of such a machine, rad/s and rad/s2.
+    #[must_use]
+    pub fn usual_limits(&self) -> [[f64; 2]; MAIN_AXES] {
+        match self {
+            Self::Delta(_) => DeltaGeometry::usual_limits(),
+            Self::Gantry(geometry) => geometry.usual_limits(),
+            Self::CoreXy(geometry) => geometry.usual_limits(),
+            Self::Scara(geometry) => geometry.usual_limits(),
+            Self::LinearDelta(geometry) => geometry.usual_limits(),
+        }
+    }
+
     /// Borders of the tool's position that the ranges of the joints do not express, with the margin taken off.
     pub(crate) fn box_mm(&self) -> Option<WorkVolume> {
         match self {

@@ -7,7 +7,7 @@
 //! Invariant: a result is finite or an error; no input panics.
 
 use super::geometry::GeometryError;
-use super::linear::{Linear, angles_rad, check_stroke};
+use super::linear::{BELT_LIMITS, Linear, angles_rad, check_stroke, limits_rad};
 use super::spheres::lower_meeting;
 use super::vector::{Vector, cross, dot, root, scale};
 use super::{
@@ -157,6 +157,11 @@ impl LinearDeltaGeometry {
     pub(super) fn margins_rad(&self) -> [f64; TOWERS] {
         let [_, margin] = angles_rad([0.0, self.margin_mm], self.carriage_mm_per_turn);
         [margin; TOWERS]
+    }
+
+    /// Usual highest speed and acceleration of each main axis, rad/s and rad/s2.
+    pub(super) fn usual_limits(&self) -> [[f64; 2]; TOWERS] {
+        [limits_rad(BELT_LIMITS, self.carriage_mm_per_turn); TOWERS]
     }
 
     /// A cylinder between the towers, from the lowest carriages to where the highest hold the platform in the middle.

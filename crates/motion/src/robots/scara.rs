@@ -7,7 +7,7 @@
 //! Invariant: a result is finite or an error; no input panics.
 
 use super::geometry::GeometryError;
-use super::linear::{Linear, angles_rad, check_stroke};
+use super::linear::{Linear, angles_rad, check_stroke, limits_rad};
 use super::vector::{Vector, root};
 use super::{
     Change, Conditioning, ConditioningMin, JointAngles, JointRanges, JointRows, KinematicsError, MAIN_AXES, Position,
@@ -165,6 +165,12 @@ impl ScaraGeometry {
     pub(super) fn margins_rad(&self) -> [f64; MAIN_AXES] {
         let [_, of_z] = angles_rad([0.0, self.z_margin_mm], self.z_mm_per_turn);
         [self.margin_rad, self.margin_rad, of_z]
+    }
+
+    /// Usual highest speed and acceleration of each main axis, rad/s and rad/s2: 450 degrees a second for the links.
+    pub(super) fn usual_limits(&self) -> [[f64; 2]; MAIN_AXES] {
+        let link = [7.85, 100.0];
+        [link, link, limits_rad([500.0, 5000.0], self.z_mm_per_turn)]
     }
 
     /// The ring and heights that the links reach at all; the ranges of the joints cut a part out of them.

@@ -86,6 +86,11 @@ impl DeltaGeometry {
         [self.arm_range_rad; MAIN_AXES]
     }
 
+    /// Usual highest speed and acceleration of each main axis, rad/s and rad/s2.
+    pub(in crate::robots) fn usual_limits() -> [[f64; 2]; MAIN_AXES] {
+        [[25.0, 250.0]; MAIN_AXES]
+    }
+
     /// Angles of the margin, rad.
     pub(in crate::robots) fn margins_rad(&self) -> [f64; MAIN_AXES] {
         [self.arm_margin_rad; MAIN_AXES]
