@@ -3,6 +3,7 @@
 use super::super::plan::{GROWTH, POINTS};
 use super::*;
 use crate::WorkArea;
+use crate::robots::{Geometry, LinearDeltaGeometry, ScaraGeometry};
 use crate::settings::Orientation;
 
 /// Random limits, tolerances and options.
@@ -159,10 +160,11 @@ fn random_paths_on_a_linear_delta_keep_all_limits_whole_and_held() {
     check_seeds(Kind::LinearDelta, 1..201);
 }
 
-#[test]
-fn an_admitted_path_stays_inside_the_work_area_with_its_curve() {
-    let mut settings = Settings::default();
-    settings.paper.pressing_depth_mm = 110.0;
+/// Random vertices near all borders of the work area, of which those that are admitted are drawn.
+fn check_inside(geometry: Geometry) {
+    let mut settings = Settings::usual(geometry);
+    let volume = settings.work_area;
+    settings.paper.pressing_depth_mm = settings.paper.pen_down_z_mm - volume.z_low_mm;
     settings.motion.travel_tolerance_mm = 2.0;
     settings.motion.tolerance_mm = 1.0;
     let area = WorkArea::new(&settings).unwrap();
@@ -172,25 +174,47 @@ fn an_admitted_path_stays_inside_the_work_area_with_its_curve() {
         let mut admission = Admission::new(&settings).unwrap();
         let mut path = Vec::new();
         while path.len() < 8 {
-            let (radius, angle) = (random.between(300.0, 565.0), random.between(0.0, TAU));
-            let z = random.between(-960.0, -700.0);
+            let mut within =
+                |[low, high]: [f64; 2]| random.between(low.max(-volume.radius_mm), high.min(volume.radius_mm));
+            let (x, y) = (within(volume.x_mm), within(volume.y_mm));
+            let z = random.between(volume.z_low_mm, volume.z_high_mm);
             let pen = if random.below(2) == 0 { Pen::Up } else { Pen::Down };
-            let next = vertex([radius * libm::cos(angle), radius * libm::sin(angle), z], pen, 0);
+            let next = vertex([x, y, z], pen, 0);
             if admission.check(path.len() as u32, &next).is_ok() {
                 path.push(next);
             } else {
                 refused += 1;
+                assert!(refused < 50_000, "{:?}", geometry.kind());
             }
         }
         let run = Run::new(&settings, &path).whole();
-        run.check_limits(&format!("seed {seed}"));
+        run.check_limits(&format!("{:?}, seed {seed}", geometry.kind()));
         for setpoint in &run.setpoints {
             let at = area.kinematics().forward(&JointAngles(setpoint.position_rad)).unwrap();
             let inside = area.check(&at);
-            assert!(inside.is_ok(), "seed {seed}: {at:?} {inside:?}");
+            assert!(inside.is_ok(), "{:?}, seed {seed}: {at:?} {inside:?}", geometry.kind());
             samples += 1;
         }
     }
     println!("{samples} samples inside, {refused} vertices refused");
-    assert!(refused > 50);
+    assert!(
+        refused > 50 || matches!(geometry.kind(), Kind::Gantry | Kind::CoreXy),
+        "{refused}"
+    );
+}
+
+#[test]
+fn an_admitted_path_stays_inside_the_work_area_with_its_curve() {
+    for kind in Kind::ALL {
+        check_inside(kind.geometry());
+    }
+    check_inside(Geometry::Scara(ScaraGeometry {
+        elbow: -1,
+        shoulder_range_rad: [0.0, 5.9],
+        ..ScaraGeometry::default()
+    }));
+    check_inside(Geometry::LinearDelta(LinearDeltaGeometry {
+        carriage_range_mm: [200.0, 400.0],
+        ..LinearDeltaGeometry::default()
+    }));
 }

@@ -197,6 +197,15 @@ impl Geometry {
         }
     }
 
+    /// Whether curves need a finer grid, because a joint moves the tool in one direction alone: its limits bind where a
+    /// curve turns into that direction, and not before.
+    pub(crate) fn needs_fine_curves(&self) -> bool {
+        match self {
+            Self::Delta(_) => false,
+            Self::Gantry(_) | Self::CoreXy(_) | Self::Scara(_) | Self::LinearDelta(_) => true,
+        }
+    }
+
     /// Lowest and highest angle of each main axis, rad.
     #[must_use]
     pub fn ranges_rad(&self) -> [[f64; 2]; MAIN_AXES] {

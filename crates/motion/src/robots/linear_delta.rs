@@ -33,6 +33,8 @@ pub(super) const CONDITIONING_MIN: ConditioningMin = ConditioningMin {
     ratio: 0.35,
     determinant: 0.1,
 };
+/// Radius of the usual work volume as a part of the towers' radius.
+const VOLUME_PART: f64 = 0.7;
 /// Smallest sine of the angle between the azimuths of two towers.
 const AZIMUTH_SINE_MIN: f64 = 0.1;
 
@@ -164,14 +166,19 @@ impl LinearDeltaGeometry {
         [limits_rad(BELT_LIMITS, self.carriage_mm_per_turn); TOWERS]
     }
 
-    /// A cylinder between the towers, from the lowest carriages to where the highest hold the platform in the middle.
+    /// A cylinder between the towers: as high as the carriages reach at its border, where the heights of the rods differ
+    /// most.
     pub(super) fn work_volume(&self) -> WorkVolume {
         let [low_mm, high_mm] = self.carriage_range_mm;
-        let middle_mm = root(self.rod_mm * self.rod_mm - self.radius_mm * self.radius_mm);
+        let rod_height = |across_mm: f64| root(self.rod_mm * self.rod_mm - across_mm * across_mm);
+        let (far_mm, near_mm) = (
+            (1.0 + VOLUME_PART) * self.radius_mm,
+            (1.0 - VOLUME_PART) * self.radius_mm,
+        );
         WorkVolume {
-            radius_mm: 0.7 * self.radius_mm,
-            z_low_mm: low_mm + self.margin_mm,
-            z_high_mm: high_mm - self.margin_mm - middle_mm,
+            radius_mm: VOLUME_PART * self.radius_mm,
+            z_low_mm: low_mm + self.margin_mm - rod_height(far_mm),
+            z_high_mm: high_mm - self.margin_mm - rod_height(near_mm),
             ..WorkVolume::ENDLESS
         }
     }
