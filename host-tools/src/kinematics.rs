@@ -5,8 +5,7 @@
 
 use crate::error::{ProgramError, code};
 use etherpen::robots::{
-    Conditioning, DeltaGeometry, Geometry, JointAngles, Kinematics, KinematicsError, MAIN_AXES, Measured, Position,
-    RATIO_SINGULAR,
+    Conditioning, Geometry, JointAngles, Kinematics, KinematicsError, MAIN_AXES, Measured, Position, RATIO_SINGULAR,
 };
 use serde::Serialize;
 
@@ -38,14 +37,7 @@ impl Robot {
     pub fn parse(text: &str) -> Result<Self, String> {
         let measured: Measured = toml::from_str(text).map_err(|cause| cause.to_string())?;
         let geometry = measured.geometry().map_err(|cause| cause.to_string())?;
-        let Some(arm_range_rad) = measured.range_rad() else {
-            return Self::new(Geometry::Delta(geometry));
-        };
-        let geometry = Geometry::Delta(DeltaGeometry {
-            arm_range_rad,
-            ..geometry
-        });
-        Self::of(&geometry, Some(arm_range_rad))
+        Self::of(&geometry, measured.range_rad())
     }
 
     /// A robot with a geometry; its ranges of the joints are not checked.

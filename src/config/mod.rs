@@ -83,7 +83,7 @@ impl Default for Config {
 }
 
 /// Longest encoded configuration, bytes.
-pub const CONFIG_BYTES_MAX: usize = 1592;
+pub const CONFIG_BYTES_MAX: usize = 1752;
 
 impl Config {
     /// Settings of motion.
@@ -165,6 +165,7 @@ impl Config {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::robots::{Kind, ScaraGeometry};
     use core::net::Ipv4Addr;
 
     #[test]
@@ -288,10 +289,48 @@ mod tests {
         config.bus.segment = Ipv4Addr::new(223, 255, 255, 255);
         assert_eq!((config.check(), config.check_io()), (Ok(()), Ok(())));
         let mut buffer = [0; 4096];
-        let bytes = postcard::to_slice(&config, &mut buffer).unwrap().len();
-        std::println!("{bytes} of {CONFIG_BYTES_MAX} bytes");
-        assert!(config.hash().is_some());
+        for kind in Kind::ALL {
+            config.geometry = kind.geometry();
+            let bytes = postcard::to_slice(&config, &mut buffer).unwrap().len();
+            std::println!("{kind:?}: {bytes} of {CONFIG_BYTES_MAX} bytes");
+            assert!(config.hash().is_some(), "{kind:?}: {bytes} bytes");
+        }
         assert!(config.io.push(IoPoint::default()).is_err());
+    }
+
+    #[test]
+    fn a_message_carries_the_dimensions_of_every_kind() {
+        for kind in Kind::ALL {
+            let mut config = Config {
+                geometry: kind.geometry(),
+                ..Config::default()
+            };
+            config.work_area = config.geometry.work_volume();
+            let mut buffer = [0; CONFIG_BYTES_MAX];
+            let bytes = postcard::to_slice(&config, &mut buffer).unwrap();
+            assert_eq!(postcard::from_bytes::<Config>(bytes), Ok(config), "{kind:?}");
+        }
+        let mut buffer = [0xFF; 128];
+        postcard::to_slice(&Kind::Delta.geometry(), &mut buffer).unwrap();
+        assert_eq!(buffer[0], 0, "the number of the first kind");
+    }
+
+    #[test]
+    fn a_bound_of_another_kind_is_named_as_that_kind_names_it() {
+        let mut config = Config {
+            geometry: Geometry::Scara(ScaraGeometry {
+                outer_link_mm: 5.0,
+                ..ScaraGeometry::default()
+            }),
+            ..Config::default()
+        };
+        let error = config.check().unwrap_err();
+        assert_eq!((error.field.name(), error.low), ("geometry.outer_link_mm", 10.0));
+        config.geometry = Kind::Gantry.geometry();
+        config.work_area = config.geometry.work_volume();
+        config.work_area.z_low_mm = -100.0;
+        let error = config.check().unwrap_err();
+        assert_eq!((error.field.name(), error.low), ("work_area.z_low_mm", -60.0));
     }
 
     #[test]

@@ -309,7 +309,7 @@ mod tests {
     #[test]
     fn a_leg_that_leaves_the_work_area_between_its_ends_is_refused() {
         let mut settings = Settings::default();
-        // Below the lowest elbow hangs a sphere that the platform cannot enter.
+        // Below the lowest end of the first links hangs a sphere that the platform cannot enter.
         let defaults = DeltaGeometry::default();
         settings.geometry = Geometry::Delta(DeltaGeometry {
             arm_range_rad: [0.0, defaults.arm_range_rad[1]],

@@ -4,7 +4,6 @@
 //! shaping, leg by leg, in bounded memory.
 
 use super::Vertex;
-use super::averaging::tolerances;
 use super::ring::Ring;
 use super::shaping::{Node, PIECES_PER_LEG, Piece, QUEUE, Shaper};
 use crate::robots::vector::{Vector, length};
@@ -46,7 +45,7 @@ impl Outline {
     /// The dimensions do not form a valid robot.
     pub fn new(settings: &Settings, first: &Vertex) -> Result<Self, GeometryError> {
         let mut shaper = Shaper::new();
-        shaper.configure(tolerances(settings), &settings.motion);
+        shaper.configure(settings);
         shaper.place(node(first));
         Ok(Self {
             kinematics: Kinematics::new(&settings.geometry)?,

@@ -270,7 +270,7 @@ impl Interval<'_> {
 mod tests {
     use super::*;
     use crate::random::Random;
-    use crate::settings::MotionLimits;
+    use crate::settings::Settings;
 
     /// A seeded sequence of numbers from -1 to 1.
     fn numbers(seed: u64) -> impl FnMut() -> f64 {
@@ -280,7 +280,7 @@ mod tests {
 
     #[test]
     fn the_largest_entry_speed_is_feasible_and_nothing_above_it_is() {
-        let limits = Limits::new(&MotionLimits::default());
+        let limits = Limits::new(&Settings::default());
         for seed in 1..500 {
             let mut number = numbers(seed);
             let mut row = || Row {
@@ -332,7 +332,7 @@ mod tests {
 
     #[test]
     fn a_forced_rest_gives_the_speed_from_which_it_is_reached() {
-        let limits = Limits::new(&MotionLimits::default());
+        let limits = Limits::new(&Settings::default());
         let row = Row::default();
         let interval = Interval {
             limits: &limits,

@@ -8,10 +8,11 @@
 //! Invariant: position, direction and curvature are continuous everywhere but at exact stops.
 
 use super::Pen;
+use super::averaging::tolerances;
 use super::curve::{self, BlendShape, Curve};
 use super::ring::Ring;
 use crate::robots::vector::{Vector, add, dot, length, scale, subtract};
-use crate::settings::MotionLimits;
+use crate::settings::Settings;
 use heapless::Vec;
 
 /// Vertices that wait to be shaped.
@@ -57,9 +58,9 @@ const SPAN_EVEN: f64 = 1.5;
 /// Least intervals of a line; even, so that a move from rest to rest can change from accelerating to decelerating in
 /// the middle.
 const LINE_INTERVALS: u16 = 4;
-/// Factor on a curve's intervals where the pen's vertical limits apply: these limits are often small compared with the
-/// acceleration along the path, whose vertical part changes between two points.
-const LIFT_REFINEMENT: u16 = 2;
+/// Factor on a curve's intervals where limits of one direction apply, such as the pen's vertical ones: they are often
+/// small compared with the acceleration along the path, of which the part in that direction changes between two points.
+const REFINEMENT: u16 = 2;
 /// Length of an interval on a line, mm.
 const LINE_STEP_MM: f64 = 2.0;
 
@@ -199,6 +200,8 @@ pub(crate) struct Shaper {
     dwells: bool,
     /// Whether the pen has vertical limits of its own.
     pen_limited: bool,
+    /// Whether all curves need more intervals.
+    fine: bool,
     node: Node,
     start: Start,
 }
@@ -213,13 +216,16 @@ impl Shaper {
             },
             dwells: false,
             pen_limited: false,
+            fine: false,
             node: Node::NONE,
             start: Start::Straight { trim: 0.0 },
         }
     }
 
-    pub(crate) fn configure(&mut self, tolerances: Tolerances, motion: &MotionLimits) {
-        self.tolerances = tolerances;
+    pub(crate) fn configure(&mut self, settings: &Settings) {
+        let motion = &settings.motion;
+        self.tolerances = tolerances(settings);
+        self.fine = settings.geometry.needs_fine_curves();
         self.dwells = motion.pen_dwell_ms > 0;
         self.pen_limited = motion.pen_speed_mm_s > 0.0 || motion.pen_acceleration_mm_s2 > 0.0;
     }
@@ -396,12 +402,12 @@ impl Shaper {
             // The capacity covers all three.
             let _ = pieces.push(piece);
         }
-        if self.pen_limited {
+        if self.pen_limited || self.fine {
             for piece in pieces
                 .iter_mut()
-                .filter(|piece| piece.lifts() && !piece.curve.is_straight())
+                .filter(|piece| (self.fine || piece.lifts()) && !piece.curve.is_straight())
             {
-                piece.intervals = piece.intervals.saturating_mul(LIFT_REFINEMENT);
+                piece.intervals = piece.intervals.saturating_mul(REFINEMENT);
             }
         }
         if let Some(last) = pieces.last_mut() {

@@ -8,7 +8,7 @@
 //! command leads from one rest to the next within the limits.
 
 use super::admission::{LEG_MIN_MM, check_way_in};
-use super::averaging::{averaging, tolerances};
+use super::averaging::averaging;
 use super::committed::Observer;
 use super::jog::{self, Jog};
 use super::limits::Limits;
@@ -137,7 +137,7 @@ impl Trajectory {
     /// The dimensions do not form a valid robot; nothing has changed.
     pub fn reconfigure(&mut self, settings: &Settings) -> Result<(), GeometryError> {
         let area = WorkArea::new(settings)?;
-        let limits = Limits::new(&settings.motion);
+        let limits = Limits::new(settings);
         let (window_ms, _) = averaging(settings);
         let motion = &mut self.motion;
         motion.area = area;
@@ -146,7 +146,7 @@ impl Trajectory {
         motion.pen_lift_mm = settings.paper.pen_lift_mm;
         motion.starve_dwell_ms = usize::from(settings.motion.starve_dwell_ms);
         motion.dead_man_ms = settings.dead_man_ms;
-        motion.shaper.configure(tolerances(settings), &settings.motion);
+        motion.shaper.configure(settings);
         motion.plan.reconfigure(*area.kinematics(), limits, &settings.motion);
         motion.here = PathSample::NONE;
         motion.pushed = 0;

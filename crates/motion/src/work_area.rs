@@ -186,6 +186,9 @@ impl WorkArea {
     /// A position inside near one that is outside: at the borders of the volume and of the paper, where the joints reach
     /// that place; `None` where they do not.
     pub fn nearest(&self, position: &Position) -> Option<Position> {
+        if !Vector::from(*position).iter().all(|value| value.is_finite()) {
+            return None;
+        }
         let within = |value: f64, [low, high]: [f64; 2]| value.max(low).min(high);
         let volume = &self.volume;
         let at_box = [within(position.x_mm, volume.x_mm), within(position.y_mm, volume.y_mm)];
@@ -360,7 +363,7 @@ impl WorkArea {
 mod tests {
     use super::*;
     use crate::random::Random;
-    use crate::robots::{DeltaGeometry, Geometry};
+    use crate::robots::{DeltaGeometry, Geometry, Kind};
 
     fn check(x_mm: f64, y_mm: f64, z_mm: f64) -> Result<[f64; MAIN_AXES], Outside> {
         WorkArea::new(&Settings::default())
@@ -445,6 +448,120 @@ mod tests {
             inside > 20_000 && outside > 10_000,
             "{inside} inside, {outside} outside"
         );
+    }
+
+    /// Positions in and around a usual machine's work volume.
+    fn around(settings: &Settings, count: usize) -> impl Iterator<Item = Position> {
+        let (volume, mut random) = (settings.work_area, Random::new(3));
+        (0..count).map(move |_| {
+            let mut within = |[low, high]: [f64; 2]| random.between(low - 10.0, high + 10.0);
+            let round = |[low, high]: [f64; 2]| [low.max(-volume.radius_mm), high.min(volume.radius_mm)];
+            Position {
+                x_mm: within(round(volume.x_mm)),
+                y_mm: within(round(volume.y_mm)),
+                z_mm: within([volume.z_low_mm, volume.z_high_mm]),
+            }
+        })
+    }
+
+    #[test]
+    fn in_every_kinds_work_area_what_has_room_is_inside_all_around() {
+        let room_mm = 3.0;
+        for kind in Kind::ALL {
+            let mut settings = Settings::usual(kind.geometry());
+            settings.work_area.inner_radius_mm = settings.work_area.inner_radius_mm.max(20.0);
+            settings.paper.pressing_depth_mm = 1000.0;
+            let (area, mut random) = (WorkArea::new(&settings).unwrap(), Random::new(4));
+            let (mut inside, mut outside) = (0, 0);
+            for position in around(&settings, 20_000) {
+                let contained = area.contains(&position);
+                assert_eq!(contained, area.check(&position).is_ok(), "{kind:?}: {position:?}");
+                *(if contained { &mut inside } else { &mut outside }) += 1;
+                if area.check_around(&position, room_mm).is_err() {
+                    continue;
+                }
+                let step = [(); 3].map(|()| random.between(-1.0, 1.0));
+                let length = crate::robots::vector::length(&step);
+                let near = crate::robots::vector::add_scaled(&position.into(), &step, room_mm / length);
+                // Convex borders need no room: the ends of a line keep all of it inside.
+                let allowed = matches!(
+                    area.check(&near.into()),
+                    Ok(_)
+                        | Err(Outside::Radius { .. } | Outside::Height { .. } | Outside::X { .. } | Outside::Y { .. })
+                );
+                let proportional = matches!(kind, Kind::Gantry | Kind::CoreXy | Kind::Scara);
+                let of_axis = matches!(
+                    area.check(&near.into()),
+                    Err(Outside::Margin { .. } | Outside::Kinematics(_))
+                );
+                assert!(
+                    allowed || (proportional && of_axis),
+                    "{kind:?}: {position:?} has no room towards {near:?}: {:?}",
+                    area.check(&near.into())
+                );
+            }
+            assert!(
+                inside > 4_000 && outside > 1_000,
+                "{kind:?}: {inside} inside, {outside} outside"
+            );
+        }
+    }
+
+    #[test]
+    fn every_border_of_the_volume_has_its_reason_and_the_nearest_place() {
+        let mut settings = Settings::usual(Kind::Gantry.geometry());
+        settings.work_area.radius_mm = 500.0;
+        settings.work_area.inner_radius_mm = 100.0;
+        settings.work_area.x_mm = [50.0, 450.0];
+        let area = WorkArea::new(&settings).unwrap();
+        let at = |x_mm, y_mm, z_mm| Position { x_mm, y_mm, z_mm };
+        let near = |position: Position, expected: Position| {
+            let found = area.nearest(&position).unwrap();
+            let apart = crate::robots::vector::subtract(&found.into(), &expected.into());
+            assert!(crate::robots::vector::length(&apart) < 1.0e-9, "{found:?}");
+        };
+        assert!(area.check(&at(200.0, 200.0, -30.0)).is_ok());
+        near(at(200.0, 200.0, -30.0), at(200.0, 200.0, -30.0));
+        let left = at(40.0, 200.0, -30.0);
+        let expected = Outside::X {
+            x_mm: 40.0,
+            low_mm: 50.0,
+            high_mm: 450.0,
+        };
+        assert_eq!(area.check(&left), Err(expected));
+        near(left, at(50.0, 200.0, -30.0));
+        let behind = at(200.0, 455.0, -30.0);
+        assert!(matches!(area.check(&behind), Err(Outside::Y { .. })));
+        near(behind, at(200.0, 449.0, -30.0));
+        let high = at(200.0, 200.0, 5.0);
+        assert!(matches!(area.check(&high), Err(Outside::Height { .. })));
+        near(high, at(200.0, 200.0, -1.0));
+        let deep = at(200.0, 200.0, -55.0);
+        assert!(matches!(area.check(&deep), Err(Outside::Paper { .. })));
+        near(deep, at(200.0, 200.0, settings.paper.pen_down_z_mm - 1.0));
+        let far = at(400.0, 400.0, -30.0);
+        assert!(matches!(area.check(&far), Err(Outside::Radius { .. })));
+        near(far, at(500.0 * 0.5_f64.sqrt(), 500.0 * 0.5_f64.sqrt(), -30.0));
+        let inner = at(60.0, 60.0, -30.0);
+        assert!(matches!(area.check(&inner), Err(Outside::InnerRadius { .. })));
+        near(inner, at(100.0 * 0.5_f64.sqrt(), 100.0 * 0.5_f64.sqrt(), -30.0));
+        assert_eq!(area.nearest(&at(f64::NAN, 0.0, 0.0)), None);
+    }
+
+    #[test]
+    fn the_box_of_crossed_belts_holds_where_the_belts_own_ranges_do_not_end() {
+        let mut settings = Settings::usual(Kind::CoreXy.geometry());
+        settings.work_area.x_mm = WorkVolume::ENDLESS.x_mm;
+        settings.work_area.y_mm = WorkVolume::ENDLESS.y_mm;
+        let area = WorkArea::new(&settings).unwrap();
+        let beside = Position {
+            x_mm: 349.5,
+            y_mm: 175.0,
+            z_mm: -20.0,
+        };
+        assert!(area.kinematics().inverse(&beside).is_ok());
+        assert!(matches!(area.check(&beside), Err(Outside::X { high_mm: 349.0, .. })));
+        assert!(!area.contains(&beside));
     }
 
     #[test]

@@ -247,7 +247,7 @@ fn thousands(number: usize) -> String {
 }
 
 /// Centre of each mode's box in the picture, by number.
-const CENTRES: [(f64, f64); 10] = [
+const CENTRES: [(f64, f64); 11] = [
     (280.0, 80.0),
     (280.0, 190.0),
     (280.0, 320.0),
@@ -258,6 +258,7 @@ const CENTRES: [(f64, f64); 10] = [
     (730.0, 300.0),
     (730.0, 520.0),
     (280.0, 520.0),
+    (500.0, 80.0),
 ];
 /// Half a box's width and height.
 const BOX: (f64, f64) = (72.0, 19.0);
@@ -272,7 +273,21 @@ struct Route {
     text: (f64, f64),
     anchor: &'static str,
 }
-const ROUTES: [Route; 6] = [
+const ROUTES: [Route; 8] = [
+    Route {
+        from: Mode::Unreferenced,
+        to: Mode::Homing,
+        path: "M442 301V99",
+        text: (438.0, 150.0),
+        anchor: "end",
+    },
+    Route {
+        from: Mode::Homing,
+        to: Mode::Unreferenced,
+        path: "M432 99V301",
+        text: (428.0, 250.0),
+        anchor: "end",
+    },
     Route {
         from: Mode::Fault,
         to: Mode::Startup,

@@ -20,7 +20,7 @@ use super::micro_interpolator::TICK_S;
 use super::*;
 use crate::random::Random;
 use crate::robots::vector::{Vector, add_scaled, dot, length, subtract};
-use crate::robots::{JointAngles, Kinematics};
+use crate::robots::{JointAngles, Kind, Kinematics};
 use crate::settings::Settings;
 use core::f64::consts::{PI, TAU};
 use std::vec::Vec;
@@ -38,6 +38,44 @@ fn vertex(point: Vector, pen: Pen, stroke: u32) -> Vertex {
         position: point.into(),
         pen,
         stroke,
+    }
+}
+
+/// Another kind's machine on which the tests' paths are drawn as on the default one.
+struct Bench {
+    settings: Settings,
+    /// Size of a path against the default machine's.
+    scale: f64,
+}
+
+impl Bench {
+    /// The usual machine of a kind.
+    fn new(kind: Kind) -> Self {
+        let settings = Settings::usual(kind.geometry());
+        let scale = match kind {
+            Kind::Delta | Kind::Gantry | Kind::CoreXy => 1.0,
+            Kind::Scara => 0.5,
+            Kind::LinearDelta => 0.4,
+        };
+        assert_eq!(settings.check(), Ok(()), "{kind:?}");
+        Self { settings, scale }
+    }
+
+    /// A path of the default machine where this machine's sheet lies.
+    fn fitted(&self, path: &[Vertex]) -> Vec<Vertex> {
+        let (paper, default) = (&self.settings.paper, Settings::default().paper);
+        let [x, y] = paper.centre_mm;
+        let moved = |at: &Vertex| {
+            let point = Vector::from(at.position);
+            let height = point[2] - default.pen_down_z_mm;
+            let place = [
+                x + self.scale * point[0],
+                y + self.scale * point[1],
+                paper.pen_down_z_mm + height,
+            ];
+            vertex(place, at.pen, at.stroke)
+        };
+        path.iter().map(moved).collect()
     }
 }
 

@@ -3,18 +3,20 @@
 use super::super::plan::{GROWTH, POINTS};
 use super::*;
 use crate::WorkArea;
+use crate::robots::{Geometry, LinearDeltaGeometry, ScaraGeometry};
 use crate::settings::Orientation;
 
 /// Random limits, tolerances and options.
-fn varied(random: &mut Random) -> Settings {
-    let mut settings = Settings::default();
+fn varied(random: &mut Random, bench: &Bench) -> Settings {
+    let mut settings = bench.settings.clone();
     let motion = &mut settings.motion;
     motion.speed_mm_s = random.between(50.0, 2_000.0);
     motion.travel_speed_mm_s = motion.speed_mm_s * random.between(1.0, 3.0);
     motion.acceleration_mm_s2 = libm::pow(10.0, random.between(3.0, 5.0));
     for axis in 0..AXES {
-        motion.joint_speed_rad_s[axis] = random.between(1.0, 30.0);
-        motion.joint_acceleration_rad_s2[axis] = libm::pow(10.0, random.between(1.5, 3.0));
+        // Of the default machine: 1 to 30 rad/s, 32 to 1,000 rad/s2.
+        motion.joint_speed_rad_s[axis] *= random.between(0.04, 1.2);
+        motion.joint_acceleration_rad_s2[axis] *= libm::pow(10.0, random.between(-0.9, 0.6));
     }
     motion.tolerance_mm = random.between(0.01, 0.3);
     motion.travel_tolerance_mm = motion.tolerance_mm * random.between(1.0, 10.0);
@@ -32,9 +34,9 @@ fn varied(random: &mut Random) -> Settings {
     settings
 }
 
-/// Strokes of all characters, lowered and lifted straight or on a slant.
+/// Strokes of all characters, lowered and lifted straight or on a slant, on the default machine's sheet.
 fn varied_path(random: &mut Random, settings: &Settings) -> Vec<Vertex> {
-    let down = settings.paper.pen_down_z_mm;
+    let down = Settings::default().paper.pen_down_z_mm;
     let up = down + settings.paper.pen_lift_mm;
     let mut path = Vec::new();
     for stroke in 0..1 + random.below(3) as u32 {
@@ -109,38 +111,60 @@ fn check_held(random: &mut Random, settings: &Settings, path: &[Vertex], periods
     assert_eq!(run.trajectory.executed() as usize, path.len(), "{name}");
 }
 
-fn check_seeds(seeds: core::ops::Range<u64>) {
+fn check_seeds(kind: Kind, seeds: core::ops::Range<u64>) {
+    let bench = Bench::new(kind);
     let (mut worst, mut samples) = ([0.0_f64; KINDS], 0);
     for seed in seeds {
         let mut random = Random::new(seed);
-        let settings = varied(&mut random);
-        let path = varied_path(&mut random, &settings);
-        let name = format!("seed {seed}");
+        let settings = varied(&mut random, &bench);
+        let path = bench.fitted(&varied_path(&mut random, &settings));
+        let name = format!("{kind:?}, seed {seed}");
         let run = Run::new(&settings, &path).whole();
         samples += run.setpoints.len();
         for (all, one) in worst.iter_mut().zip(check_whole(&run, &name)) {
             *all = all.max(one);
         }
         let periods = run.setpoints.len() / PERIOD_MS;
-        check_held(&mut random, &settings, &path, periods, &format!("seed {seed}, held"));
+        check_held(&mut random, &settings, &path, periods, &format!("{name}, held"));
     }
     println!("worst parts of the limits in {samples} samples: {worst:?}");
 }
 
 #[test]
 fn five_hundred_random_paths_keep_all_limits_whole_and_held() {
-    check_seeds(1..501);
+    check_seeds(Kind::Delta, 1..501);
 }
 
 #[test]
 fn another_five_hundred_random_paths_keep_all_limits_whole_and_held() {
-    check_seeds(501..1001);
+    check_seeds(Kind::Delta, 501..1001);
 }
 
 #[test]
-fn an_admitted_path_stays_inside_the_work_area_with_its_curve() {
-    let mut settings = Settings::default();
-    settings.paper.pressing_depth_mm = 110.0;
+fn random_paths_on_a_gantry_keep_all_limits_whole_and_held() {
+    check_seeds(Kind::Gantry, 1..201);
+}
+
+#[test]
+fn random_paths_on_crossed_belts_keep_all_limits_whole_and_held() {
+    check_seeds(Kind::CoreXy, 1..201);
+}
+
+#[test]
+fn random_paths_on_a_scara_keep_all_limits_whole_and_held() {
+    check_seeds(Kind::Scara, 1..201);
+}
+
+#[test]
+fn random_paths_on_a_linear_delta_keep_all_limits_whole_and_held() {
+    check_seeds(Kind::LinearDelta, 1..201);
+}
+
+/// Random vertices near all borders of the work area, of which those that are admitted are drawn.
+fn check_inside(geometry: Geometry) {
+    let mut settings = Settings::usual(geometry);
+    let volume = settings.work_area;
+    settings.paper.pressing_depth_mm = settings.paper.pen_down_z_mm - volume.z_low_mm;
     settings.motion.travel_tolerance_mm = 2.0;
     settings.motion.tolerance_mm = 1.0;
     let area = WorkArea::new(&settings).unwrap();
@@ -150,25 +174,47 @@ fn an_admitted_path_stays_inside_the_work_area_with_its_curve() {
         let mut admission = Admission::new(&settings).unwrap();
         let mut path = Vec::new();
         while path.len() < 8 {
-            let (radius, angle) = (random.between(300.0, 565.0), random.between(0.0, TAU));
-            let z = random.between(-960.0, -700.0);
+            let mut within =
+                |[low, high]: [f64; 2]| random.between(low.max(-volume.radius_mm), high.min(volume.radius_mm));
+            let (x, y) = (within(volume.x_mm), within(volume.y_mm));
+            let z = random.between(volume.z_low_mm, volume.z_high_mm);
             let pen = if random.below(2) == 0 { Pen::Up } else { Pen::Down };
-            let next = vertex([radius * libm::cos(angle), radius * libm::sin(angle), z], pen, 0);
+            let next = vertex([x, y, z], pen, 0);
             if admission.check(path.len() as u32, &next).is_ok() {
                 path.push(next);
             } else {
                 refused += 1;
+                assert!(refused < 50_000, "{:?}", geometry.kind());
             }
         }
         let run = Run::new(&settings, &path).whole();
-        run.check_limits(&format!("seed {seed}"));
+        run.check_limits(&format!("{:?}, seed {seed}", geometry.kind()));
         for setpoint in &run.setpoints {
             let at = area.kinematics().forward(&JointAngles(setpoint.position_rad)).unwrap();
             let inside = area.check(&at);
-            assert!(inside.is_ok(), "seed {seed}: {at:?} {inside:?}");
+            assert!(inside.is_ok(), "{:?}, seed {seed}: {at:?} {inside:?}", geometry.kind());
             samples += 1;
         }
     }
     println!("{samples} samples inside, {refused} vertices refused");
-    assert!(refused > 50);
+    assert!(
+        refused > 50 || matches!(geometry.kind(), Kind::Gantry | Kind::CoreXy),
+        "{refused}"
+    );
+}
+
+#[test]
+fn an_admitted_path_stays_inside_the_work_area_with_its_curve() {
+    for kind in Kind::ALL {
+        check_inside(kind.geometry());
+    }
+    check_inside(Geometry::Scara(ScaraGeometry {
+        elbow: -1,
+        shoulder_range_rad: [0.0, 5.9],
+        ..ScaraGeometry::default()
+    }));
+    check_inside(Geometry::LinearDelta(LinearDeltaGeometry {
+        carriage_range_mm: [200.0, 400.0],
+        ..LinearDeltaGeometry::default()
+    }));
 }

@@ -10,7 +10,7 @@ fn plan() -> Plan {
     let settings = Settings::default();
     let kinematics = *WorkArea::new(&settings).unwrap().kinematics();
     let mut plan = Plan::new();
-    plan.reconfigure(kinematics, Limits::new(&settings.motion), &settings.motion);
+    plan.reconfigure(kinematics, Limits::new(&settings), &settings.motion);
     plan.dwell_s = 0.05;
     for [from, to] in [[0.0, 10.0], [10.0, 20.0]] {
         assert!(plan.push(Piece {

@@ -6,7 +6,7 @@
 //! Invariant: a result is finite or an error; no input panics.
 
 use super::geometry::GeometryError;
-use super::linear::{Linear, angles_rad, check_stroke};
+use super::linear::{BELT_LIMITS, LIFT_LIMITS, Linear, angles_rad, check_stroke, limits_rad};
 use super::vector::Vector;
 use super::{ConditioningMin, JointAngles, JointRanges, JointRows, KinematicsError, MAIN_AXES, Position, Words};
 use crate::bounds::{Bound, bound};
@@ -98,6 +98,12 @@ impl CoreXyGeometry {
         [0.0, 0.0, margin]
     }
 
+    /// Usual highest speed and acceleration of each main axis, rad/s and rad/s2.
+    pub(super) fn usual_limits(&self) -> [[f64; 2]; MAIN_AXES] {
+        let belt = limits_rad(BELT_LIMITS, self.belt_mm_per_turn);
+        [belt, belt, limits_rad(LIFT_LIMITS, self.z_mm_per_turn)]
+    }
+
     /// The volume that the ranges leave without their margins.
     pub(super) fn work_volume(&self) -> WorkVolume {
         WorkVolume::of_box(
@@ -187,5 +193,69 @@ impl CoreXy {
         let [a, b, z, _] = joints.0;
         let half = 0.5 * self.belt.mm_per_rad;
         super::finite(joints, [(a + b) * half, (a - b) * half, z * self.z.mm_per_rad])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use core::f64::consts::TAU;
+
+    /// Values in mm of the joints, 1e-9 of which an angle may differ.
+    fn check(angles: [f64; MAIN_AXES], expected_mm: [f64; MAIN_AXES]) {
+        let per_turn = [40.0, 40.0, 8.0];
+        for ((angle, expected), mm_per_turn) in angles.iter().zip(expected_mm).zip(per_turn) {
+            assert!(
+                (angle * mm_per_turn / TAU - expected).abs() < 1.0e-9,
+                "{angles:?}, {expected_mm:?}"
+            );
+        }
+    }
+
+    /// Calculated with numpy in twice the precision.
+    #[test]
+    fn positions_and_derivatives_are_those_of_the_golden_points() {
+        let machine = CoreXy::new(&CoreXyGeometry::default()).unwrap();
+        for (point, tangent, bend, q, slope, second) in [
+            (
+                [120.5, -40.25, 5.0],
+                [0.6, -0.8, 0.0],
+                [0.02, 0.01, 0.0],
+                [80.25, 160.75, 5.0],
+                [-0.2, 1.4, 0.0],
+                [0.03, 0.01, 0.0],
+            ),
+            (
+                [0.0; 3],
+                [1.0, 0.0, 0.0],
+                [0.0, 0.1, 0.0],
+                [0.0; 3],
+                [1.0, 1.0, 0.0],
+                [0.1, -0.1, 0.0],
+            ),
+            (
+                [-33.3, 250.0, -2.5],
+                [0.0, 0.0, 1.0],
+                [0.0; 3],
+                [216.7, -283.3, -2.5],
+                [0.0, 0.0, 1.0],
+                [0.0; 3],
+            ),
+        ] {
+            check(machine.angles(&point), q);
+            let rows = machine.rows(&tangent, &bend);
+            check(rows.slope, slope);
+            check(rows.bend, second);
+        }
+    }
+
+    #[test]
+    fn an_error_of_one_motor_moves_both_axes_by_half_of_it() {
+        let machine = CoreXy::new(&CoreXyGeometry::default()).unwrap();
+        let tool = machine.forward(&JointAngles([TAU, 0.0, 0.0, 0.0])).unwrap();
+        assert!(
+            (tool.x_mm - 20.0).abs() < 1.0e-12 && (tool.y_mm - 20.0).abs() < 1.0e-12,
+            "{tool:?}"
+        );
     }
 }

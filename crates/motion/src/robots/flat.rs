@@ -27,7 +27,10 @@ pub(super) struct Table {
 }
 
 /// Keys with their values.
-pub(super) struct Entries(Vec<(String<KEY_BYTES_MAX>, Value), KEYS_MAX>);
+pub(super) struct Entries(Vec<Entry, KEYS_MAX>);
+
+/// A key with its value.
+struct Entry(String<KEY_BYTES_MAX>, Value);
 
 /// A value of a dimension.
 enum Value {
@@ -58,7 +61,7 @@ impl Entries {
     /// # Errors
     /// A key that the kind does not have, or a value of another form.
     pub(super) fn into_dimensions<'de, T: Deserialize<'de>, E: Error>(self) -> Result<T, E> {
-        let entries = self.0.iter().map(|(key, value)| (key.as_str(), value));
+        let entries = self.0.iter().map(|entry| (entry.0.as_str(), entry));
         T::deserialize(MapDeserializer::new(entries))
     }
 }
@@ -80,7 +83,7 @@ impl<'de> Visitor<'de> for TableVisitor {
                 continue;
             }
             let value = map.next_value()?;
-            if rest.push((key, value)).is_err() {
+            if rest.push(Entry(key, value)).is_err() {
                 return Err(M::Error::invalid_length(KEYS_MAX + 1, &"at most 16 dimensions"));
             }
         }
@@ -155,21 +158,21 @@ impl<'de> Deserialize<'de> for Value {
     }
 }
 
-/// Gives a value to the type of its key.
-struct ValueDeserializer<'a, E>(&'a Value, PhantomData<E>);
+/// Gives a value to the type of its key, and names the key in an error.
+struct EntryDeserializer<'a, E>(&'a Entry, PhantomData<E>);
 
 /// Gives a number to its type.
 struct NumberDeserializer<E>(Number, PhantomData<E>);
 
-impl<'de, 'a, E: Error> IntoDeserializer<'de, E> for &'a Value {
-    type Deserializer = ValueDeserializer<'a, E>;
+impl<'a, E: Error> IntoDeserializer<'_, E> for &'a Entry {
+    type Deserializer = EntryDeserializer<'a, E>;
 
     fn into_deserializer(self) -> Self::Deserializer {
-        ValueDeserializer(self, PhantomData)
+        EntryDeserializer(self, PhantomData)
     }
 }
 
-impl<'de, E: Error> IntoDeserializer<'de, E> for Number {
+impl<E: Error> IntoDeserializer<'_, E> for Number {
     type Deserializer = NumberDeserializer<E>;
 
     fn into_deserializer(self) -> Self::Deserializer {
@@ -177,19 +180,21 @@ impl<'de, E: Error> IntoDeserializer<'de, E> for Number {
     }
 }
 
-impl<'de, E: Error> Deserializer<'de> for ValueDeserializer<'_, E> {
+impl<'de, E: Error> Deserializer<'de> for EntryDeserializer<'_, E> {
     type Error = E;
 
     fn deserialize_any<V: Visitor<'de>>(self, visitor: V) -> Result<V::Value, E> {
-        match self.0 {
+        let Entry(key, value) = self.0;
+        let result = match value {
             Value::One(number) => NumberDeserializer(*number, PhantomData).deserialize_any(visitor),
             Value::List(list) => {
                 let mut items = SeqDeserializer::new(list.iter().copied());
-                let value = visitor.visit_seq(&mut items)?;
-                items.end()?;
-                Ok(value)
+                visitor
+                    .visit_seq(&mut items)
+                    .and_then(|value| items.end().map(|()| value))
             }
-        }
+        };
+        result.map_err(|cause: E| E::custom(format_args!("{key}: {cause}")))
     }
 
     forward_to_deserialize_any! {
@@ -211,5 +216,73 @@ impl<'de, E: Error> Deserializer<'de> for NumberDeserializer<E> {
     forward_to_deserialize_any! {
         bool i8 i16 i32 i64 i128 u8 u16 u32 u64 u128 f32 f64 char str string bytes byte_buf option unit unit_struct
         newtype_struct seq tuple tuple_struct map struct enum identifier ignored_any
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    extern crate std;
+
+    use crate::robots::{Geometry, Kind, ScaraGeometry};
+    use std::string::{String, ToString};
+
+    fn read(text: &str) -> Result<Geometry, String> {
+        toml::from_str(text).map_err(|cause: toml::de::Error| cause.to_string())
+    }
+
+    #[test]
+    fn a_table_without_a_kind_is_a_delta_robot_and_what_is_missing_is_the_kinds_own() {
+        assert_eq!(read(""), Ok(Geometry::default()));
+        assert_eq!(read("forearm_mm = 800"), Ok(Kind::Delta.geometry()));
+        for kind in Kind::ALL {
+            assert_eq!(read(&std::format!("kind = \"{}\"", kind.name())), Ok(kind.geometry()));
+        }
+        let scara = ScaraGeometry {
+            elbow: -1,
+            inner_link_mm: 325.0,
+            shoulder_range_rad: [-1.0, 2.0],
+            ..ScaraGeometry::default()
+        };
+        // The kind may stand last, and a length be a whole number.
+        let text = "shoulder_range_rad = [-1, 2.0]\nelbow = -1\ninner_link_mm = 325\nkind = \"scara\"\n";
+        assert_eq!(read(text), Ok(Geometry::Scara(scara)));
+    }
+
+    #[test]
+    fn a_written_table_is_read_again() {
+        for kind in Kind::ALL {
+            let text = toml::to_string(&kind.geometry()).unwrap();
+            assert!(
+                text.starts_with(&std::format!("kind = \"{}\"\n", kind.name())),
+                "{text}"
+            );
+            assert_eq!(read(&text), Ok(kind.geometry()), "{text}");
+        }
+    }
+
+    #[test]
+    fn what_is_wrong_is_named() {
+        for (text, named) in [
+            ("kind = \"hexapod\"", "unknown variant `hexapod`"),
+            ("kind = \"gantry\"\nforearm_mm = 800.0", "unknown field `forearm_mm`"),
+            ("rod_mm = 265.0", "unknown field `rod_mm`"),
+            (
+                "kind = \"scara\"\nelbow = 0.5",
+                "invalid type: floating point `0.5`, expected i8",
+            ),
+            ("kind = \"scara\"\nelbow = 1000", "1000"),
+            ("x_range_mm = [0.0, [1.0]]", "a list of lists"),
+            ("kind = \"gantry\"\nx_range_mm = [0.0]", "invalid length 1"),
+            ("kind = \"gantry\"\nx_range_mm = [0.0, 1.0, 2.0]", "invalid length 3"),
+            ("kind = \"gantry\"\nx_range_mm = 5.0", "x_range_mm"),
+            ("forearm_mm = \"long\"", "a number or a list of numbers"),
+            ("forearm_mm = [1, 2, 3, 4, 5]", "at most 4 numbers"),
+            (&std::format!("{} = 1.0", "long".repeat(20)), "unknown field `longlong"),
+        ] {
+            let error = read(text).unwrap_err();
+            assert!(error.contains(named), "{text}:\n{error}");
+        }
+        let many: String = (0..17).map(|key| std::format!("key_{key} = 1.0\n")).collect();
+        assert!(read(&many).unwrap_err().contains("at most 16 dimensions"));
     }
 }

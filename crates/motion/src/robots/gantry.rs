@@ -5,7 +5,7 @@
 //! Invariant: a result is finite or an error; no input panics.
 
 use super::geometry::GeometryError;
-use super::linear::{Linear, angles_rad, check_stroke};
+use super::linear::{BELT_LIMITS, LIFT_LIMITS, Linear, angles_rad, check_stroke, limits_rad};
 use super::vector::Vector;
 use super::{ConditioningMin, JointAngles, JointRanges, JointRows, KinematicsError, MAIN_AXES, Position, Words};
 use crate::bounds::{Bound, bound};
@@ -100,6 +100,15 @@ impl GantryGeometry {
         })
     }
 
+    /// Usual highest speed and acceleration of each main axis, rad/s and rad/s2.
+    pub(super) fn usual_limits(&self) -> [[f64; 2]; MAIN_AXES] {
+        [
+            limits_rad(BELT_LIMITS, self.x_mm_per_turn),
+            limits_rad(BELT_LIMITS, self.y_mm_per_turn),
+            limits_rad(LIFT_LIMITS, self.z_mm_per_turn),
+        ]
+    }
+
     /// The volume that the ranges leave without their margins.
     pub(super) fn work_volume(&self) -> WorkVolume {
         WorkVolume::of_box(
@@ -187,5 +196,46 @@ impl Gantry {
     pub(super) fn forward(&self, joints: &JointAngles) -> Result<Position, KinematicsError> {
         let ([x, y, z, _], [of_x, of_y, of_z]) = (joints.0, &self.axes);
         super::finite(joints, [x * of_x.mm_per_rad, y * of_y.mm_per_rad, z * of_z.mm_per_rad])
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use core::f64::consts::TAU;
+
+    #[test]
+    fn a_travel_is_a_turn_of_the_pulley() {
+        let gantry = Gantry::new(&GantryGeometry::default()).unwrap();
+        let at = |x_mm, y_mm, z_mm| gantry.inverse(&Position { x_mm, y_mm, z_mm });
+        assert_eq!(at(40.0, 120.0, -4.0), Ok([TAU, 3.0 * TAU, -0.5 * TAU]));
+        assert!(matches!(
+            at(600.5, 0.0, 0.0),
+            Err(KinematicsError::Range { joint: 0, .. })
+        ));
+        assert!(matches!(
+            at(0.0, -0.5, 0.0),
+            Err(KinematicsError::Range { joint: 1, .. })
+        ));
+        assert!(matches!(
+            at(0.0, 0.0, -60.5),
+            Err(KinematicsError::Range { joint: 2, .. })
+        ));
+        assert_eq!(at(f64::NAN, 0.0, 0.0), Err(KinematicsError::NotFinite));
+    }
+
+    #[test]
+    fn dimensions_that_do_not_form_a_machine_are_refused() {
+        let refuse = |change: fn(&mut GantryGeometry)| {
+            let mut geometry = GantryGeometry::default();
+            change(&mut geometry);
+            Gantry::new(&geometry).unwrap_err()
+        };
+        assert_eq!(refuse(|g| g.x_mm_per_turn = f64::NAN), GeometryError::NotFinite);
+        assert_eq!(refuse(|g| g.y_range_mm[1] = f64::INFINITY), GeometryError::NotFinite);
+        let travel = refuse(|g| g.z_mm_per_turn = 0.0);
+        assert_eq!(travel, GeometryError::Travel { mm_per_turn: 0.0 });
+        let stroke = refuse(|g| g.x_range_mm = [5.0, 5.0]);
+        assert!(matches!(stroke, GeometryError::Stroke { .. }));
     }
 }

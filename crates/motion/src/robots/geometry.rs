@@ -18,17 +18,17 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Kind {
-    /// Three arms that turn, with forearms to a common platform.
+    /// A delta robot.
     #[default]
     Delta,
-    /// Three linear axes at right angles.
+    /// A gantry: three linear axes at right angles.
     Gantry,
     /// Two crossed belts for x and y, and a linear axis for z.
     #[serde(rename = "corexy")]
     CoreXy,
-    /// Two links that turn in the horizontal plane, and a linear axis for z.
+    /// A SCARA: two links that turn in the horizontal plane, and a linear axis for z.
     Scara,
-    /// Three carriages on towers, with rods to a common platform.
+    /// A linear delta.
     LinearDelta,
 }
 
@@ -171,7 +171,7 @@ impl Geometry {
             Self::Gantry(geometry) => corner_mm(geometry.x_range_mm, geometry.y_range_mm),
             Self::CoreXy(geometry) => corner_mm(geometry.x_range_mm, geometry.y_range_mm),
             Self::Scara(geometry) => geometry.reach_mm(),
-            Self::LinearDelta(geometry) => geometry.rod_mm,
+            Self::LinearDelta(geometry) => geometry.reach_mm(),
         }
     }
 
@@ -188,12 +188,21 @@ impl Geometry {
     }
 
     /// Highest speed and acceleration that any joint may be allowed, rad/s and rad/s2. A pulley or screw turns many
-    /// times where an arm turns a part of once.
+    /// times where another joint turns a part of once.
     #[must_use]
     pub fn joint_limits_max(&self) -> (f64, f64) {
         match self {
             Self::Delta(_) => (50.0, 2000.0),
             Self::Gantry(_) | Self::CoreXy(_) | Self::Scara(_) | Self::LinearDelta(_) => (1000.0, 100_000.0),
+        }
+    }
+
+    /// Whether curves need a finer grid, because a joint moves the tool in one direction alone: its limits bind where a
+    /// curve turns into that direction, and not before.
+    pub(crate) fn needs_fine_curves(&self) -> bool {
+        match self {
+            Self::Delta(_) => false,
+            Self::Gantry(_) | Self::CoreXy(_) | Self::Scara(_) | Self::LinearDelta(_) => true,
         }
     }
 
@@ -213,7 +222,7 @@ impl Geometry {
     #[must_use]
     pub fn ranges_with_margin_rad(&self) -> [[f64; 2]; MAIN_AXES] {
         let margins = match self {
-            Self::Delta(geometry) => [geometry.arm_margin_rad; MAIN_AXES],
+            Self::Delta(geometry) => geometry.margins_rad(),
             Self::Gantry(geometry) => geometry.margins_rad(),
             Self::CoreXy(geometry) => geometry.margins_rad(),
             Self::Scara(geometry) => geometry.margins_rad(),
@@ -247,6 +256,18 @@ impl Geometry {
             Self::CoreXy(geometry) => geometry.work_volume(),
             Self::Scara(geometry) => geometry.work_volume(),
             Self::LinearDelta(geometry) => geometry.work_volume(),
+        }
+    }
+
+    /// Usual highest speed and acceleration of each main axis of such a machine, rad/s and rad/s2.
+    #[must_use]
+    pub fn usual_limits(&self) -> [[f64; 2]; MAIN_AXES] {
+        match self {
+            Self::Delta(_) => DeltaGeometry::usual_limits(),
+            Self::Gantry(geometry) => geometry.usual_limits(),
+            Self::CoreXy(geometry) => geometry.usual_limits(),
+            Self::Scara(geometry) => geometry.usual_limits(),
+            Self::LinearDelta(geometry) => geometry.usual_limits(),
         }
     }
 

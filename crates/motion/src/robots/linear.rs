@@ -6,6 +6,11 @@ use core::f64::consts::TAU;
 /// A range that ends at no position that a machine has, mm.
 pub(super) const ENDLESS_MM: [f64; 2] = [-1.0e6, 1.0e6];
 
+/// Usual limits of an axis with a belt: speed, mm/s, and acceleration, mm/s2.
+pub(super) const BELT_LIMITS: [f64; 2] = [1000.0, 10_000.0];
+/// Usual limits of a light upright axis: speed, mm/s, and acceleration, mm/s2.
+pub(super) const LIFT_LIMITS: [f64; 2] = [200.0, 3000.0];
+
 /// A linear axis of known travel per turn.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Linear {
@@ -42,6 +47,11 @@ impl Linear {
 /// Angles of a pulley or screw at both ends of a range, rad; 0 for a travel that is not positive.
 pub(super) fn angles_rad(range_mm: [f64; 2], mm_per_turn: f64) -> [f64; 2] {
     Linear::new(mm_per_turn).map_or([0.0; 2], |axis| axis.range_rad(range_mm))
+}
+
+/// Speed and acceleration of a joint, rad/s and rad/s2, for those of its length, mm/s and mm/s2.
+pub(super) fn limits_rad([speed_mm_s, acceleration_mm_s2]: [f64; 2], mm_per_turn: f64) -> [f64; 2] {
+    angles_rad([speed_mm_s, acceleration_mm_s2], mm_per_turn)
 }
 
 /// Checks that a range has two finite ends in order.

@@ -7,7 +7,7 @@
 //! Invariant: a result is finite or an error; no input panics.
 
 use super::geometry::GeometryError;
-use super::linear::{Linear, angles_rad, check_stroke};
+use super::linear::{BELT_LIMITS, Linear, angles_rad, check_stroke, limits_rad};
 use super::spheres::lower_meeting;
 use super::vector::{Vector, cross, dot, root, scale};
 use super::{
@@ -33,6 +33,8 @@ pub(super) const CONDITIONING_MIN: ConditioningMin = ConditioningMin {
     ratio: 0.35,
     determinant: 0.1,
 };
+/// Radius of the usual work volume as a part of the towers' radius.
+const VOLUME_PART: f64 = 0.7;
 /// Smallest sine of the angle between the azimuths of two towers.
 const AZIMUTH_SINE_MIN: f64 = 0.1;
 
@@ -137,6 +139,11 @@ impl LinearDeltaGeometry {
         ]
     }
 
+    /// Largest distance of the platform from the axis that the rods' length allows, mm.
+    pub(super) fn reach_mm(&self) -> f64 {
+        self.rod_mm
+    }
+
     /// Lowest and highest z that the carriages' range and the rods allow, mm.
     pub(super) fn heights_mm(&self) -> [f64; 2] {
         let [low_mm, high_mm] = self.carriage_range_mm;
@@ -154,14 +161,24 @@ impl LinearDeltaGeometry {
         [margin; TOWERS]
     }
 
-    /// A cylinder between the towers, from the lowest carriages to where the highest hold the platform in the middle.
+    /// Usual highest speed and acceleration of each main axis, rad/s and rad/s2.
+    pub(super) fn usual_limits(&self) -> [[f64; 2]; TOWERS] {
+        [limits_rad(BELT_LIMITS, self.carriage_mm_per_turn); TOWERS]
+    }
+
+    /// A cylinder between the towers: as high as the carriages reach at its border, where the heights of the rods differ
+    /// most.
     pub(super) fn work_volume(&self) -> WorkVolume {
         let [low_mm, high_mm] = self.carriage_range_mm;
-        let middle_mm = root(self.rod_mm * self.rod_mm - self.radius_mm * self.radius_mm);
+        let rod_height = |across_mm: f64| root(self.rod_mm * self.rod_mm - across_mm * across_mm);
+        let (far_mm, near_mm) = (
+            (1.0 + VOLUME_PART) * self.radius_mm,
+            (1.0 - VOLUME_PART) * self.radius_mm,
+        );
         WorkVolume {
-            radius_mm: 0.7 * self.radius_mm,
-            z_low_mm: low_mm + self.margin_mm,
-            z_high_mm: high_mm - self.margin_mm - middle_mm,
+            radius_mm: VOLUME_PART * self.radius_mm,
+            z_low_mm: low_mm + self.margin_mm - rod_height(far_mm),
+            z_high_mm: high_mm - self.margin_mm - rod_height(near_mm),
             ..WorkVolume::ENDLESS
         }
     }
@@ -343,5 +360,106 @@ impl LinearDelta {
         lower_meeting(&centres, self.rod_mm)
             .map(Position::from)
             .ok_or(KinematicsError::Apart)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use core::f64::consts::TAU;
+
+    /// Values in mm of the carriages, 1e-9 of which an angle may differ.
+    fn check(angles: [f64; TOWERS], expected_mm: [f64; TOWERS]) {
+        for (angle, expected) in angles.iter().zip(expected_mm) {
+            assert!(
+                (angle * 40.0 / TAU - expected).abs() < 1.0e-9,
+                "{angles:?}, {expected_mm:?}"
+            );
+        }
+    }
+
+    /// Calculated with numpy and checked against differences.
+    #[test]
+    fn carriages_and_derivatives_are_those_of_the_golden_points() {
+        let robot = LinearDelta::new(&LinearDeltaGeometry::default()).unwrap();
+        for (point, tangent, bend, q, slope, second) in [
+            (
+                [0.0, 0.0, 100.0],
+                [1.0, 0.0, 0.0],
+                [0.0, 0.01, 0.0],
+                [328.624_145_706_441; 3],
+                [0.0, -0.507_590_323_623, 0.507_590_323_623],
+                [0.001_487_157_006, -0.008_431_515_100, -0.008_431_515_100],
+            ),
+            (
+                [60.0, -45.0, 20.0],
+                [0.6, 0.8, 0.0],
+                [-0.008, 0.006, 0.0],
+                [205.967_739_137_733, 216.845_908_027_437, 278.069_154_477_736],
+                [0.576_444_067_649, -0.626_014_752_855, 0.062_109_098_225],
+                [0.001_192_208_057, -0.000_586_830_781, -0.006_138_807_159],
+            ),
+            (
+                [-80.0, 30.0, 0.0],
+                [0.0, 0.6, 0.8],
+                [0.0; 3],
+                [230.236_834_585_607, 243.960_211_217_195, 149.604_195_605_811],
+                [1.071_025_268_882, 0.561_436_507_578, 0.410_973_477_286],
+                [-0.001_882_647_045, -0.001_708_936_625, -0.003_417_963_202],
+            ),
+        ] {
+            check(robot.inverse(&point.into()).unwrap(), q);
+            let rows = robot.rows(&point, &tangent, &bend);
+            check(rows.slope, slope);
+            check(rows.bend, second);
+        }
+    }
+
+    #[test]
+    fn what_cannot_be_reached_names_the_carriage_and_the_reason() {
+        let robot = LinearDelta::new(&LinearDeltaGeometry::default()).unwrap();
+        let at = |x_mm, y_mm, z_mm| robot.inverse(&Position { x_mm, y_mm, z_mm });
+        // The first tower stands at y = 134 mm.
+        assert!(matches!(
+            at(0.0, -132.0, 50.0),
+            Err(KinematicsError::Unreachable { joint: 0, .. })
+        ));
+        assert!(matches!(
+            at(0.0, -131.0, 50.0),
+            Err(KinematicsError::Singular { joint: 0, .. })
+        ));
+        assert!(matches!(
+            at(0.0, 0.0, 340.0),
+            Err(KinematicsError::Range { joint: 0, .. })
+        ));
+        assert!(matches!(
+            at(0.0, 0.0, -170.0),
+            Err(KinematicsError::Range { joint: 0, .. })
+        ));
+        assert_eq!(at(0.0, 0.0, f64::INFINITY), Err(KinematicsError::NotFinite));
+        let apart = robot.forward(&JointAngles([0.0, 100.0, 0.0, 0.0]));
+        assert_eq!(apart, Err(KinematicsError::Apart));
+    }
+
+    #[test]
+    fn dimensions_that_do_not_form_a_robot_are_refused() {
+        let refuse = |change: fn(&mut LinearDeltaGeometry)| {
+            let mut geometry = LinearDeltaGeometry::default();
+            change(&mut geometry);
+            LinearDelta::new(&geometry).unwrap_err()
+        };
+        assert_eq!(refuse(|g| g.rod_mm = f64::NAN), GeometryError::NotFinite);
+        let rods = refuse(|g| g.rod_mm = 134.0);
+        assert!(matches!(
+            rods,
+            GeometryError::LinearDelta(LinearDeltaError::Rods { .. })
+        ));
+        let towers = refuse(|g| g.tower_azimuths_deg = [90.0, 270.0, 330.0]);
+        assert!(matches!(
+            towers,
+            GeometryError::LinearDelta(LinearDeltaError::Towers { .. })
+        ));
+        let travel = refuse(|g| g.carriage_mm_per_turn = -40.0);
+        assert!(matches!(travel, GeometryError::Travel { .. }));
     }
 }

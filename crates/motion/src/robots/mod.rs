@@ -18,6 +18,8 @@ mod linear;
 mod linear_delta;
 mod scara;
 mod spheres;
+#[cfg(test)]
+mod tests;
 pub mod vector;
 
 pub use corexy::CoreXyGeometry;

@@ -7,7 +7,7 @@
 //! Invariant: a result is finite or an error; no input panics.
 
 use super::geometry::GeometryError;
-use super::linear::{Linear, angles_rad, check_stroke};
+use super::linear::{Linear, angles_rad, check_stroke, limits_rad};
 use super::vector::{Vector, root};
 use super::{
     Change, Conditioning, ConditioningMin, JointAngles, JointRanges, JointRows, KinematicsError, MAIN_AXES, Position,
@@ -165,6 +165,12 @@ impl ScaraGeometry {
     pub(super) fn margins_rad(&self) -> [f64; MAIN_AXES] {
         let [_, of_z] = angles_rad([0.0, self.z_margin_mm], self.z_mm_per_turn);
         [self.margin_rad, self.margin_rad, of_z]
+    }
+
+    /// Usual highest speed and acceleration of each main axis, rad/s and rad/s2: 450 degrees a second for the links.
+    pub(super) fn usual_limits(&self) -> [[f64; 2]; MAIN_AXES] {
+        let link = [7.85, 100.0];
+        [link, link, limits_rad([500.0, 5000.0], self.z_mm_per_turn)]
     }
 
     /// The ring and heights that the links reach at all; the ranges of the joints cut a part out of them.
@@ -340,16 +346,16 @@ impl Scara {
 
     /// Distance from the singularities at a position; the ratio is negative where the links do not reach the position.
     ///
-    /// The shoulder's angle has the gradient 1 / (l1 S), the elbow's r / (l1 l2 S).
+    /// The shoulder's angle has the gradient 1 / (l1 S), the elbow's r / (l1 l2 S). The ratio, which is its sine, changes
+    /// no faster.
     pub(super) fn conditioning(&self, position: &Position) -> Conditioning {
         let pose = self.link_pose(&Vector::from(*position));
         let ratio = super::signed_root(pose.ratio_squared);
-        let [cosine, _] = pose.elbow;
         let turning = root(pose.distance_squared) / (self.inner_mm * self.outer_mm * ratio);
-        let (shoulder, elbow, of_ratio) = if ratio < RATIO_SINGULAR {
-            (f64::INFINITY, f64::INFINITY, f64::INFINITY)
+        let (shoulder, elbow) = if ratio < RATIO_SINGULAR {
+            (f64::INFINITY, f64::INFINITY)
         } else {
-            (1.0 / (self.inner_mm * ratio), turning, cosine.abs() * turning)
+            (1.0 / (self.inner_mm * ratio), turning)
         };
         Conditioning {
             ratio: (ELBOW, ratio),
@@ -357,7 +363,7 @@ impl Scara {
             change: Change {
                 // z changes in proportion to the displacement.
                 angles: [shoulder, elbow, 0.0],
-                ratio: of_ratio,
+                ratio: elbow,
                 determinant: 0.0,
             },
         }
@@ -392,5 +398,163 @@ impl Scara {
                 z * self.z.mm_per_rad,
             ],
         )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn robot(elbow: i8) -> Scara {
+        let geometry = ScaraGeometry {
+            elbow,
+            ..ScaraGeometry::default()
+        };
+        Scara::new(&geometry.without_ranges()).unwrap()
+    }
+
+    /// Point, tangent and curvature, then shoulder and elbow: angles, first and second derivatives.
+    type Golden = ([Vector; 3], [[f64; 2]; 3]);
+
+    const POINTS: [[Vector; 3]; 3] = [
+        [[250.0, 100.0, -50.0], [0.6, 0.8, 0.0], [-0.004, 0.003, 0.0]],
+        [[0.0, -300.0, -10.0], [1.0, 0.0, 0.0], [0.0; 3]],
+        [[-120.0, 180.0, 0.0], [0.0, -1.0, 0.5], [0.01, 0.0, 0.0]],
+    ];
+
+    /// Calculated with numpy and checked against differences.
+    const POSITIVE: [[[f64; 2]; 3]; 3] = [
+        [
+            [-0.321_707_387_374, 1.682_137_341_136],
+            [0.004_059_154_351, -0.005_877_664_398],
+            [0.000_010_131_148, -0.000_003_804_054],
+        ],
+        [
+            [-2.189_182_968_681, 1.459_455_312_454],
+            [0.003_333_333_333, 0.0],
+            [0.000_009_938_080, -0.000_025_555_063],
+        ],
+        [
+            [1.344_233_652_640, 2.023_568_791_979],
+            [0.001_108_521_593, 0.005_083_670_856],
+            [-0.000_015_598_978, 0.000_018_220_947],
+        ],
+    ];
+    const NEGATIVE: [[[f64; 2]; 3]; 3] = [
+        [
+            [1.082_720_141_599, -1.682_137_341_136],
+            [-0.000_197_085_385, 0.005_877_664_398],
+            [-0.000_002_911_172, 0.000_003_804_054],
+        ],
+        [
+            [-0.952_409_684_909, -1.459_455_312_454],
+            [0.003_333_333_333, 0.0],
+            [-0.000_009_938_080, 0.000_025_555_063],
+        ],
+        [
+            [2.973_364_208_045, -2.023_568_791_979],
+            [0.004_019_683_536, -0.005_083_670_856],
+            [-0.000_021_876_367, -0.000_018_220_947],
+        ],
+    ];
+
+    #[test]
+    fn angles_and_derivatives_are_those_of_the_golden_points() {
+        let golden = |values: [[[f64; 2]; 3]; 3]| POINTS.into_iter().zip(values);
+        let sides = golden(POSITIVE)
+            .map(|golden| (1, golden))
+            .chain(golden(NEGATIVE).map(|golden| (-1, golden)));
+        for (elbow, golden) in sides {
+            let ([point, tangent, bend], [q, slope, second]): Golden = golden;
+            let (scara, rad_per_mm) = (robot(elbow), TAU / 20.0);
+            let rows = scara.rows(&point, &tangent, &bend);
+            let inverse = scara.inverse(&point.into()).unwrap();
+            for (values, expected, z) in [
+                (inverse, q, point[2]),
+                (rows.slope, slope, tangent[2]),
+                (rows.bend, second, bend[2]),
+            ] {
+                let [shoulder, elbow, axis] = values;
+                let near = |value: f64, expected: f64| (value - expected).abs() < 1.0e-9;
+                assert!(
+                    near(shoulder, expected[0]) && near(elbow, expected[1]) && near(axis, z * rad_per_mm),
+                    "{point:?}: {values:?}, {expected:?}"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn the_shoulder_has_the_angle_that_its_range_contains() {
+        let behind = Position {
+            x_mm: -250.0,
+            y_mm: -5.0,
+            z_mm: -20.0,
+        };
+        let angle = |shoulder_range_rad| {
+            let geometry = ScaraGeometry {
+                shoulder_range_rad,
+                ..ScaraGeometry::default()
+            };
+            Scara::new(&geometry)
+                .unwrap()
+                .inverse(&behind)
+                .map(|[shoulder, ..]| shoulder)
+        };
+        let (first, second) = (angle([0.0, 5.5]).unwrap(), angle([-5.5, 0.0]).unwrap());
+        assert!((first - second - TAU).abs() < 1.0e-12, "{first} {second}");
+        assert!(matches!(
+            angle([-1.0, 1.0]),
+            Err(KinematicsError::Range { joint: 0, .. })
+        ));
+    }
+
+    #[test]
+    fn what_cannot_be_reached_names_the_elbow_and_the_reason() {
+        let scara = Scara::new(&ScaraGeometry::default()).unwrap();
+        let at = |x_mm, y_mm, z_mm| scara.inverse(&Position { x_mm, y_mm, z_mm });
+        assert!(matches!(
+            at(401.0, 0.0, 0.0),
+            Err(KinematicsError::Unreachable { joint: 1, .. })
+        ));
+        assert!(matches!(
+            at(49.0, 0.0, 0.0),
+            Err(KinematicsError::Unreachable { joint: 1, .. })
+        ));
+        assert!(matches!(
+            at(400.0, 0.0, 0.0),
+            Err(KinematicsError::Singular { joint: 1, .. })
+        ));
+        assert!(matches!(
+            at(0.0, 0.0, 0.0),
+            Err(KinematicsError::Unreachable { joint: 1, .. })
+        ));
+        assert!(matches!(
+            at(300.0, 0.0, 1.0),
+            Err(KinematicsError::Range { joint: 2, .. })
+        ));
+        assert_eq!(at(300.0, f64::NAN, 0.0), Err(KinematicsError::NotFinite));
+    }
+
+    #[test]
+    fn dimensions_that_do_not_form_a_robot_are_refused() {
+        let refuse = |change: fn(&mut ScaraGeometry)| {
+            let mut geometry = ScaraGeometry::default();
+            change(&mut geometry);
+            Scara::new(&geometry).unwrap_err()
+        };
+        assert_eq!(refuse(|g| g.outer_link_mm = f64::NAN), GeometryError::NotFinite);
+        assert_eq!(
+            refuse(|g| g.elbow = 0),
+            GeometryError::Scara(ScaraError::Elbow { elbow: 0 })
+        );
+        let lengths = refuse(|g| g.inner_link_mm = 0.0);
+        assert!(matches!(lengths, GeometryError::Scara(ScaraError::Lengths { .. })));
+        let range = refuse(|g| g.elbow_range_rad = [1.0, -1.0]);
+        assert!(matches!(range, GeometryError::Range { .. }));
+        assert!(matches!(
+            refuse(|g| g.z_range_mm = [0.0; 2]),
+            GeometryError::Stroke { .. }
+        ));
     }
 }

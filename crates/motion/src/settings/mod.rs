@@ -212,15 +212,24 @@ pub struct Settings {
 }
 
 impl Settings {
-    /// Settings of a usual machine with these dimensions: its largest usual work volume, and a sheet of at most 200 mm
-    /// in the middle of it.
+    /// Settings of a usual machine with these dimensions: its largest usual work volume, a sheet of at most 200 mm in the
+    /// middle of it, and the usual limits of its joints.
     #[must_use]
     pub fn usual(geometry: Geometry) -> Self {
         let work_area = geometry.work_volume();
+        let mut motion = MotionLimits::default();
+        let axes = motion
+            .joint_speed_rad_s
+            .iter_mut()
+            .zip(&mut motion.joint_acceleration_rad_s2);
+        for ((speed, acceleration), limits) in axes.zip(geometry.usual_limits()) {
+            [*speed, *acceleration] = limits;
+        }
         Self {
             geometry,
             work_area,
             paper: Paper::within(&work_area),
+            motion,
             ..Self::default()
         }
     }

@@ -2,7 +2,7 @@
 
 use crate::bounds::{Bound, bound};
 use crate::robots::MAIN_AXES;
-use crate::robots::geometry::GeometryError;
+use crate::robots::geometry::{Geometry, GeometryError};
 use core::f64::consts::PI;
 use core::fmt;
 use serde::{Deserialize, Serialize};
@@ -84,6 +84,16 @@ impl DeltaGeometry {
     /// Lowest and highest angle of each main axis, rad.
     pub(in crate::robots) fn ranges_rad(&self) -> [[f64; 2]; MAIN_AXES] {
         [self.arm_range_rad; MAIN_AXES]
+    }
+
+    /// Usual highest speed and acceleration of each main axis, rad/s and rad/s2.
+    pub(in crate::robots) fn usual_limits() -> [[f64; 2]; MAIN_AXES] {
+        [[25.0, 250.0]; MAIN_AXES]
+    }
+
+    /// Angles of the margin, rad.
+    pub(in crate::robots) fn margins_rad(&self) -> [f64; MAIN_AXES] {
+        [self.arm_margin_rad; MAIN_AXES]
     }
 
     /// This geometry with arms that turn all the way round.
@@ -190,11 +200,12 @@ impl Measured {
         self.arm_range_rad
     }
 
-    /// The geometry; values that the file does not give are the default's.
+    /// The geometry; values that the file does not give are the default's. Without a range of the arms every angle is in
+    /// range.
     ///
     /// # Errors
     /// A size is missing, given twice or negative.
-    pub fn geometry(&self) -> Result<DeltaGeometry, MeasuredError> {
+    pub fn geometry(&self) -> Result<Geometry, MeasuredError> {
         // From the centre of the base's triangle to a side, of the platform's to a corner.
         let (to_side, to_corner) = (HALF_ROOT_OF_THREE / 3.0, 2.0 * HALF_ROOT_OF_THREE / 3.0);
         let base_radius_mm = radius("base", self.base_radius_mm, self.base_side_mm, to_side)?;
@@ -205,15 +216,21 @@ impl Measured {
             }
         }
         let defaults = DeltaGeometry::default();
-        Ok(DeltaGeometry {
+        let geometry = DeltaGeometry {
             base_radius_mm,
             platform_radius_mm,
             upper_arm_mm: self.upper_arm_mm,
             forearm_mm: self.forearm_mm,
             arm_azimuths_deg: self.arm_azimuths_deg.unwrap_or(defaults.arm_azimuths_deg),
-            arm_range_rad: self.arm_range_rad.unwrap_or(defaults.arm_range_rad),
             ..defaults
-        })
+        };
+        Ok(Geometry::Delta(match self.arm_range_rad {
+            Some(arm_range_rad) => DeltaGeometry {
+                arm_range_rad,
+                ..geometry
+            },
+            None => geometry.without_ranges(),
+        }))
     }
 }
 
@@ -260,7 +277,9 @@ mod tests {
 
     #[test]
     fn triangles_give_the_radii() {
-        let geometry = TRIANGLES.geometry().unwrap();
+        let Ok(Geometry::Delta(geometry)) = TRIANGLES.geometry() else {
+            panic!("{:?}", TRIANGLES.geometry());
+        };
         assert!((geometry.base_radius_mm - 200.0).abs() < 1.0e-9);
         assert!((geometry.platform_radius_mm - 45.0).abs() < 1.0e-9);
         assert_eq!(geometry.arm_azimuths_deg, [0.0, 120.0, 240.0]);

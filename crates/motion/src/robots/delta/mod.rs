@@ -326,6 +326,7 @@ fn into_plane((cosine, sine): (f64, f64), vector: &Vector) -> Vector {
 mod tests {
     use super::*;
     use crate::robots::AXES;
+    use crate::robots::vector::{add_scaled, length, subtract};
 
     fn robot() -> Delta {
         Delta::new(&DeltaGeometry::default()).unwrap()
@@ -451,7 +452,7 @@ mod tests {
                 let bound = |change: f64| ROOM * STEP_MM * change;
                 for (angle, angle_there) in angles.iter().zip(angles_there) {
                     assert!(
-                        (angle_there - angle).abs() <= bound(here.change.angle),
+                        (angle_there - angle).abs() <= bound(here.change.angles[0]),
                         "angle at {position:?}"
                     );
                 }
