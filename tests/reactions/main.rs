@@ -17,6 +17,7 @@ mod liveness;
 mod matrix;
 mod outputs;
 mod outside;
+mod pen_output;
 mod position;
 mod robot;
 mod stale;
@@ -59,6 +60,23 @@ fn assert_described_standstill(robot: &mut Robot, expected: impl Fn(&Fault) -> b
         robot.command(Command::Draw { job: 9 }),
         Err(Refusal::NotInMode(Mode::Fault))
     );
+}
+
+/// Acknowledges and powers up again; `meanwhile` is called every millisecond while the robot then rests.
+fn assert_recovers_with(robot: &mut Robot, meanwhile: impl Fn(&Robot)) {
+    robot.command(Command::Acknowledge).unwrap();
+    robot.wait_for(Mode::DrivesOff);
+    assert_eq!(robot.fault(), None);
+    if !robot.status.as_ref().unwrap().referenced {
+        robot.command(Command::Home).unwrap();
+        robot.run(100);
+    }
+    robot.command(Command::Enable).unwrap();
+    robot.wait_for(Mode::Idle);
+    for _ in 0..500 {
+        robot.run(1);
+        meanwhile(robot);
+    }
 }
 
 /// Acknowledges, powers up again and draws to the end.

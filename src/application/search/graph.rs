@@ -253,7 +253,7 @@ const CENTRES: [(f64, f64); 11] = [
     (280.0, 320.0),
     (500.0, 320.0),
     (520.0, 190.0),
-    (730.0, 80.0),
+    (800.0, 80.0),
     (940.0, 190.0),
     (730.0, 300.0),
     (730.0, 520.0),
@@ -273,19 +273,33 @@ struct Route {
     text: (f64, f64),
     anchor: &'static str,
 }
-const ROUTES: [Route; 8] = [
+const ROUTES: [Route; 10] = [
+    Route {
+        from: Mode::Idle,
+        to: Mode::Homing,
+        path: "M492 171V99",
+        text: (488.0, 140.0),
+        anchor: "end",
+    },
+    Route {
+        from: Mode::Homing,
+        to: Mode::Idle,
+        path: "M512 99V171",
+        text: (518.0, 125.0),
+        anchor: "start",
+    },
     Route {
         from: Mode::Unreferenced,
         to: Mode::Homing,
         path: "M442 301V99",
-        text: (438.0, 150.0),
-        anchor: "end",
+        text: (446.0, 230.0),
+        anchor: "start",
     },
     Route {
         from: Mode::Homing,
         to: Mode::Unreferenced,
         path: "M432 99V301",
-        text: (428.0, 250.0),
+        text: (427.0, 130.0),
         anchor: "end",
     },
     Route {
@@ -360,6 +374,7 @@ const GROUPS: [Group; 3] = [
     Group {
         modes: &[
             Mode::Unreferenced,
+            Mode::Homing,
             Mode::Idle,
             Mode::Moving,
             Mode::Drawing,

@@ -1,0 +1,116 @@
+//! A pen that an output lowers: it leaves the paper at every stop, whatever stopped the machine, and never touches by itself.
+
+use crate::robot::Robot;
+use crate::{assert_described_standstill, assert_recovers_with};
+use etherpen::application::{Fault, Mode};
+use etherpen::config::Config;
+use etherpen::messages::{Command, PathVertex};
+use etherpen::motion::Pen;
+use host_tools::cell::Fault as CellFault;
+use host_tools::settings::machines::MACHINES;
+
+/// The terminal with the pen's output, from 1.
+const TERMINAL: usize = 3;
+/// Longest time from a stop to an output that is off at the terminal, ms: the supervision's own millisecond and the
+/// exchange's.
+const OFF_MAX_MS: u32 = 4;
+
+fn corexy() -> Config {
+    MACHINES[2].load().unwrap()
+}
+
+/// Two strokes of 60 mm zigzags around the middle of the bed.
+fn path() -> Vec<PathVertex> {
+    let mut path = Vec::new();
+    for stroke in 0..2_u32 {
+        let y_um = 30_000 * stroke as i32;
+        let mut go = |x_um: i32, y_um: i32, z_um: i32, pen: Pen| {
+            path.push(PathVertex {
+                position_um: [x_um, y_um, z_um],
+                pen,
+                stroke,
+            });
+        };
+        go(-30_000, y_um, 0, Pen::Up);
+        go(-30_000, y_um, -2_000, Pen::Up);
+        for leg in 1..=8 {
+            let x_um = if leg % 2 == 0 { -30_000 } else { 30_000 };
+            go(x_um, y_um + 2_500 * leg, -2_000, Pen::Down);
+        }
+        go(-30_000, y_um + 20_000, 0, Pen::Up);
+    }
+    path
+}
+
+fn drawing(speed_mm_s: f64) -> Robot {
+    let mut config = corexy();
+    config.motion.speed_mm_s = speed_mm_s;
+    let mut robot = Robot::idle_with(&config);
+    assert_eq!(robot.outputs(TERMINAL), 0, "the pen is up at rest");
+    robot.draw(path());
+    robot.run_until("the pen draws", |robot| {
+        robot.cell().pen_touches && robot.ack.executed > 3
+    });
+    robot
+}
+
+#[test]
+fn the_pen_is_off_at_once_at_a_stop_a_drive_fault_and_a_lost_terminal_and_stays_up_when_power_comes_back() {
+    let stops: [(&str, fn(&mut Robot)); 4] = [
+        ("stop", |robot| drop(robot.command(Command::Stop))),
+        ("drive fault", |robot| robot.inject(CellFault::Drive(4, 0x2310))),
+        ("emergency stop", |robot| robot.set_inputs(2, 0)),
+        ("drive lost", |robot| robot.inject(CellFault::Power(5, 500))),
+    ];
+    for speed_mm_s in [20.0, 200.0] {
+        for (what, stop) in stops {
+            let mut robot = drawing(speed_mm_s);
+            let ink = robot.ink().len();
+            stop(&mut robot);
+            robot.run_until("the fault is latched", |robot| robot.fault().is_some());
+            robot.run(OFF_MAX_MS);
+            assert_eq!(robot.outputs(TERMINAL), 0, "{what} at {speed_mm_s} mm/s");
+            assert_described_standstill(&mut robot, |_| true);
+            assert!(!robot.cell().pen_touches, "{what}");
+            robot.set_inputs(2, 1);
+            robot.run(1_000);
+            assert_recovers_with(&mut robot, |robot| {
+                assert_eq!(
+                    robot.outputs(TERMINAL),
+                    0,
+                    "{what}: the pen is up while nothing is drawn"
+                );
+            });
+            assert_eq!(robot.ink().len(), ink, "{what}: no ink after the stop");
+            robot.draw(path());
+            robot.run_until("the path is executed", |robot| {
+                robot.ack.finished && robot.mode() == Mode::Idle
+            });
+            assert_eq!((robot.fault(), robot.ink().len()), (None, ink + 2), "{what}");
+        }
+    }
+}
+
+#[test]
+fn a_terminal_that_fails_while_its_pen_draws_is_a_fault_and_a_held_drawing_has_its_pen_up() {
+    let mut robot = drawing(200.0);
+    robot.inject(CellFault::Power(TERMINAL, 800));
+    assert_described_standstill(&mut robot, |fault| {
+        matches!(
+            fault,
+            Fault::SlaveLost { slave: 2 } | Fault::SlaveState { .. } | Fault::Blind { .. } | Fault::StopInput { .. }
+        )
+    });
+    let mut robot = drawing(200.0);
+    robot.command(Command::Hold).unwrap();
+    robot.run_until("held", |robot| {
+        robot.mode() == Mode::Holding && robot.speed_rad_s() < 1e-3
+    });
+    robot.run(1_000);
+    assert!(robot.outputs(TERMINAL) == 0 && !robot.cell().pen_touches);
+    robot.command(Command::Resume).unwrap();
+    robot.run_until("the path is executed", |robot| {
+        robot.ack.finished && robot.mode() == Mode::Idle
+    });
+    assert_eq!(robot.fault(), None);
+}
