@@ -12,6 +12,9 @@
 //! velocity other than zero, or another target position, only while it follows setpoints of the selected epoch; the first
 //! fault makes every following output a quick stop until the fault is cleared.
 
+mod absent;
+mod searching;
+
 use crate::application::{Fault, Power};
 use crate::board::Interlock;
 use crate::config::{Axis, AxisMode, Bus, Transport};
@@ -19,10 +22,10 @@ pub use crate::control::cycle::{CycleReport, Queued, SamplerCommand, SamplerCoun
 use crate::control::feedback::COMPARISONS;
 use crate::control::io::Io;
 use crate::control::limit::limited;
-use crate::control::pen_switch::{HEIGHT, PenSwitch};
+use crate::control::pen_switch::PenSwitch;
 use crate::control::position::PositionController;
 use crate::control::robot_axes::{AxisCommand, Demand, PositionDemand, RobotAxes};
-use crate::control::search::{Found, Search};
+use crate::control::search::Search;
 use crate::control::supervision::{Observation, Supervision};
 use crate::control::torque_feedback::Demanded;
 use crate::control::velocity::VelocityController;
@@ -34,7 +37,6 @@ use crate::ethercat::cyclic::{Arrival, BusCounters, ExchangeKind};
 use crate::ethercat::encapsulation::Encapsulation;
 use crate::ethercat::frame_port::{FramePort, Sending};
 use crate::ethercat::queue;
-use crate::motion::Setpoint;
 use crate::network::NetworkEnd;
 pub use crate::robot_bus::PERIOD_NS;
 use crate::robot_bus::RobotGroup;
@@ -451,34 +453,6 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         now.measured_rad_s[AXIS].abs() < STANDSTILL_RAD_S
     }
 
-    /// Takes an axis that the machine lacks: it is where the last setpoint was, and its drive is in the state of the first
-    /// axis's. Without setpoints the pen is up. Returns true: the axis is at rest.
-    #[cold]
-    fn follow_absent(&mut self, axis: usize) -> bool {
-        let now = &mut self.now;
-        if axis == HEIGHT && self.epoch.is_none() {
-            now.setpoint.position_rad[HEIGHT] = self.pen.up_rad;
-        }
-        let at = (now.measured_rad.get_mut(axis), now.setpoint.position_rad.get(axis));
-        if let (Some(measured_rad), Some(setpoint_rad)) = at {
-            *measured_rad = *setpoint_rad;
-        }
-        let [first, ..] = now.status_word;
-        now.status_word.iter_mut().skip(axis).for_each(|word| *word = first);
-        true
-    }
-
-    /// Forgets what was measured; the axes that the machine lacks are at 0, valid and homed.
-    #[cold]
-    fn leave_out_absent(&mut self) {
-        let now = &mut self.now;
-        now.setpoint = Setpoint::default();
-        now.homed = core::array::from_fn(|axis| axis >= self.used);
-        now.valid = now.homed;
-        (now.measured_rad_s, now.increments) = ([0.0; AXES], [0; AXES]);
-        self.home_lost = [false; AXES];
-    }
-
     /// Advances to this millisecond's setpoint. Returns whether one is followed, and whether one was missing.
     #[inline]
     fn next_setpoint(&mut self) -> (bool, bool) {
@@ -499,57 +473,6 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             }
             None => (false, was_following),
         }
-    }
-
-    /// Begins to lead the axes to their switches, from where they are.
-    #[cold]
-    fn begin_search(&mut self) {
-        if self.power != Power::On {
-            return;
-        }
-        self.epoch = None;
-        self.window.clear();
-        let search = Search::new(&self.axes, self.used, &self.now.measured_rad);
-        let standing = search.setpoint();
-        while self.window.has_room() {
-            self.window.push(&standing);
-        }
-        self.robot.set_searching(true);
-        self.search = Some(search);
-    }
-
-    #[cold]
-    fn end_search(&mut self) {
-        self.search = None;
-        self.robot.set_searching(false);
-    }
-
-    /// This millisecond's setpoint of a search. Returns what [`Self::next_setpoint`] does.
-    #[cold]
-    fn search_setpoint(&mut self) -> (bool, bool) {
-        let (io, increments) = (&self.io, &self.now.increments);
-        let Some(search) = &mut self.search else {
-            return (false, false);
-        };
-        match search.step(|input| io.is_open(input), increments) {
-            Ok(Found::Setpoint(setpoint)) => {
-                self.window.advance();
-                self.window.push(&setpoint);
-                if let Some(setpoint) = self.window.first() {
-                    self.now.setpoint = *setpoint;
-                }
-                return (true, false);
-            }
-            Ok(Found::End(edges)) => {
-                // A refusal leaves the axes unhomed, which the operating modes see and report.
-                let _ = edges.map(|edges| self.robot.home_at(&edges));
-                self.same_zero = [false; AXES];
-            }
-            Err((axis, failure)) => self.supervision.latch(Fault::HomingFailed { axis, failure }),
-        }
-        self.end_search();
-        self.window.clear();
-        (false, false)
     }
 
     #[inline(never)]

@@ -5,7 +5,7 @@
 import { $, duration, element, number, text } from "./dom.js";
 
 const JOG_MS = 40;
-const TONES = { Idle: "good", Drawing: "good", Moving: "good", Holding: "warn", Unreferenced: "warn", DrivesOff: "plain", Stopping: "warn", Fault: "bad", Startup: "wait", BusConfiguring: "wait" };
+const TONES = { Idle: "good", Drawing: "good", Homing: "good", Moving: "good", Holding: "warn", Unreferenced: "warn", DrivesOff: "plain", Stopping: "warn", Fault: "bad", Startup: "wait", BusConfiguring: "wait" };
 const NAMES = { BusConfiguring: "Bus", DrivesOff: "Drives off" };
 
 export function operate(link) {
