@@ -285,7 +285,7 @@ const ROUTES: [Route; 10] = [
         from: Mode::Homing,
         to: Mode::Idle,
         path: "M512 99V171",
-        text: (518.0, 125.0),
+        text: (518.0, 143.0),
         anchor: "start",
     },
     Route {
