@@ -6,7 +6,7 @@
 //! one with the elbow outside. There the forearm's product with the elbow's derivative is a D, which gives t' = f . p' /
 //! (a D).
 
-use super::{Joint, MAIN_AXES};
+use super::{Constraint, Joint, MAIN_AXES, Place};
 use crate::angle::{cosine_and_sine, from_degrees};
 use crate::interval::Interval;
 use crate::series::{Series, Series3};
@@ -92,12 +92,18 @@ impl Delta {
         let (out, across, along) = (out.value(), y.value(), along.value());
         let (cosine, sine) = (cosine.value(), sine.value());
         Joint {
-            direction: [cosine, sine],
+            place: Place::Turned {
+                direction: [cosine, sine],
+                middle_rad: 0.0,
+            },
             slope,
             link: [out * c - across * s, out * s + across * c, along],
             lever: d.value() * upper,
-            tow: [-(upper * sine * c), -(upper * sine * s), -(upper * cosine)],
-            sway: upper * (along * sine - out * cosine),
+            constraint: Constraint::Rod {
+                tow: [-(upper * sine * c), -(upper * sine * s), -(upper * cosine)],
+                sway: upper * (along * sine - out * cosine),
+                level: false,
+            },
         }
     }
 }
