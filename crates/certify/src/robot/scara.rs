@@ -103,6 +103,13 @@ impl Scara {
                 level: true,
             },
         };
-        [shoulder, elbow, slide([0.0, 0.0, 1.0], z_mm_per_turn, point, first)]
+        let z = slide([0.0, 0.0, 1.0], z_mm_per_turn, point, first);
+        // As long as a link, so that the inverse of the links' matrix has one size in all directions.
+        let z = Joint {
+            link: z.link.map(|part| part * outer),
+            lever: z.lever * outer,
+            ..z
+        };
+        [shoulder, elbow, z]
     }
 }

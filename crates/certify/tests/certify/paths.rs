@@ -1,7 +1,7 @@
 //! Random settings and paths of all characters. A seed gives one path for ever.
 
 use crate::planning::vertex;
-use etherpen_motion::robots::{AXES, Kind, Position};
+use etherpen_motion::robots::{AXES, Geometry, Kind, Position, ScaraGeometry};
 use etherpen_motion::settings::Orientation;
 use etherpen_motion::{Pen, Settings, Vertex};
 use std::f64::consts::{PI, TAU};
@@ -34,7 +34,15 @@ impl Random {
 
 /// Random limits, tolerances and options of a usual machine of a kind.
 pub(crate) fn settings(random: &mut Random, kind: Kind) -> Settings {
-    let mut settings = Settings::usual(kind.geometry());
+    let geometry = match kind.geometry() {
+        // A path that follows its direction winds the fourth axis up.
+        Geometry::Scara(geometry) => Geometry::Scara(ScaraGeometry {
+            turn_range_rad: [-6_283.0, 6_283.0],
+            ..geometry
+        }),
+        other => other,
+    };
+    let mut settings = Settings::usual(geometry);
     let motion = &mut settings.motion;
     motion.speed_mm_s = random.between(50.0, 2_000.0);
     motion.travel_speed_mm_s = motion.speed_mm_s * random.between(1.0, 3.0);
