@@ -42,6 +42,7 @@ const KINDS: [Kind; 5] = [
         name: "gantry",
         words: &["gantry", "gantries"],
         own: &[
+            "crates/certify/src/robot/gantry.rs",
             "crates/monitor/src/robot/gantry.rs",
             "crates/motion/src/robots/gantry.rs",
         ],
@@ -50,6 +51,7 @@ const KINDS: [Kind; 5] = [
         name: "corexy",
         words: &["corexy"],
         own: &[
+            "crates/certify/src/robot/corexy.rs",
             "crates/monitor/src/robot/corexy.rs",
             "crates/motion/src/robots/corexy.rs",
         ],

@@ -19,7 +19,7 @@ use certificate::Witness;
 use etherpen::config::{Config, Orientation};
 use etherpen::motion::{MotionCommand, MotionRefusal, MotionState, Observer, Setpoint, Trajectory, Vertex};
 use etherpen::robots::vector::{Vector, length, subtract};
-use etherpen::robots::{GeometryError, JointAngles, Kind, Kinematics, KinematicsError, MAIN_AXES};
+use etherpen::robots::{GeometryError, JointAngles, Kinematics, KinematicsError, MAIN_AXES};
 
 /// Longest motion, ms: a day.
 const DURATION_MAX_MS: u64 = 86_400_000;

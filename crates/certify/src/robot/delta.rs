@@ -11,9 +11,9 @@ use crate::angle::{cosine_and_sine, from_degrees};
 use crate::interval::Interval;
 use crate::series::{Series, Series3};
 
-/// Dimensions of a delta robot with equal arms.
+/// DeltaDimensions of a delta robot with equal arms.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Dimensions {
+pub struct DeltaDimensions {
     /// Centre of the base to the shoulder axes, mm.
     pub base_radius_mm: f64,
     /// Length of an upper arm, mm.
@@ -26,7 +26,7 @@ pub struct Dimensions {
     pub azimuths_deg: [f64; MAIN_AXES],
 }
 
-impl Default for Dimensions {
+impl Default for DeltaDimensions {
     /// The IRB 340, as the default configuration describes it.
     fn default() -> Self {
         Self {
@@ -52,7 +52,7 @@ pub struct Delta {
 impl Delta {
     /// A delta robot of these dimensions. With dimensions that are no robot, nothing can be proved.
     #[must_use]
-    pub fn new(dimensions: &Dimensions) -> Self {
+    pub fn new(dimensions: &DeltaDimensions) -> Self {
         Self {
             azimuths: dimensions
                 .azimuths_deg

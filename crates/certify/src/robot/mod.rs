@@ -12,7 +12,7 @@ mod linear_delta;
 mod scara;
 
 pub use corexy::CoreXy;
-pub use delta::{Delta, Dimensions as DeltaDimensions};
+pub use delta::{Delta, DeltaDimensions};
 pub use gantry::Gantry;
 pub use linear_delta::{LinearDelta, LinearDeltaDimensions};
 pub use scara::{Scara, ScaraDimensions};
@@ -133,6 +133,13 @@ impl Robot {
             Self::Scara(scara) => Some(scara.links_mm()),
             Self::LinearDelta(delta) => Some(delta.links_mm()),
         }
+    }
+}
+
+impl Default for Robot {
+    /// The robot of the default configuration.
+    fn default() -> Self {
+        Self::Delta(Delta::new(&DeltaDimensions::default()))
     }
 }
 

@@ -370,7 +370,7 @@ mod tests {
     fn the_planner_beats_both_peers_at_the_same_limits() {
         let samples = paths::samples().unwrap();
         let square = &samples[0];
-        let rows = compare("square", square, &LIMIT_SETS[0].config(), false).unwrap();
+        let rows = compare("square", &square.vertices, &LIMIT_SETS[0].config(Kind::Delta), false).unwrap();
         for row in rows.iter().filter(|row| row.subject == "etherpen") {
             assert_ne!(row.met(), Some(false), "{row:?}");
         }
