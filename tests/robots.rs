@@ -28,6 +28,7 @@ const KINDS: [Kind; 5] = [
         words: &["delta", "deltas", "arm", "arms", "forearm", "forearms"],
         own: &[
             "crates/certify/src/robot/delta.rs",
+            "crates/certify/tests/certify/planning.rs",
             "crates/monitor/src/robot/delta.rs",
             "crates/motion/src/robots/delta/",
             "host-tools/src/campaign/robot/delta.rs",
@@ -41,6 +42,7 @@ const KINDS: [Kind; 5] = [
         name: "gantry",
         words: &["gantry", "gantries"],
         own: &[
+            "crates/certify/src/robot/gantry.rs",
             "crates/monitor/src/robot/gantry.rs",
             "crates/motion/src/robots/gantry.rs",
         ],
@@ -49,6 +51,7 @@ const KINDS: [Kind; 5] = [
         name: "corexy",
         words: &["corexy"],
         own: &[
+            "crates/certify/src/robot/corexy.rs",
             "crates/monitor/src/robot/corexy.rs",
             "crates/motion/src/robots/corexy.rs",
         ],
@@ -56,12 +59,17 @@ const KINDS: [Kind; 5] = [
     Kind {
         name: "scara",
         words: &["scara", "scaras", "elbow", "elbows"],
-        own: &["crates/monitor/src/robot/scara.rs", "crates/motion/src/robots/scara.rs"],
+        own: &[
+            "crates/certify/src/robot/scara.rs",
+            "crates/monitor/src/robot/scara.rs",
+            "crates/motion/src/robots/scara.rs",
+        ],
     },
     Kind {
         name: "lineardelta",
         words: &["lineardelta", "tower", "towers", "carriage", "carriages", "rod", "rods"],
         own: &[
+            "crates/certify/src/robot/linear_delta.rs",
             "crates/monitor/src/robot/linear_delta.rs",
             "crates/motion/src/robots/linear_delta.rs",
             "host-tools/src/campaign/robot/linear_delta.rs",
@@ -83,12 +91,14 @@ const NAMES: [(&str, &str); 6] = [
 const CHECK: &str = "tests/robots.rs";
 
 /// Files that choose a kind, and may name it, but none of its parts.
-const SEAMS: [&str; 8] = [
+const SEAMS: [&str; 10] = [
     "crates/certify/src/robot/mod.rs",
     "crates/monitor/src/robot/mod.rs",
     "crates/motion/src/robots/geometry.rs",
     "crates/motion/src/robots/mod.rs",
+    "crates/certify/tests/certify/planning.rs",
     "host-tools/src/campaign/robot/mod.rs",
+    "host-tools/src/planning/dimensions.rs",
     "host-tools/src/cell/mechanism/mod.rs",
     "host-tools/assets/console/robot.js",
     "host-tools/src/console/assets.rs",

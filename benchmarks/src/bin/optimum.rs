@@ -10,8 +10,8 @@
 use copp::constraints::Constraints;
 use copp::solver::topp2_ra::{ReachSet2OptionsBuilder, Topp2ProblemBuilder, s_to_t_topp2, topp2_ra};
 use etherpen::config::Config;
-use etherpen::motion::{MotionCommand, MotionState, Outline, Pen, Section, Station, Trajectory, Vertex};
-use etherpen::robots::{AXES, JointAngles, Kinematics, MAIN_AXES};
+use etherpen::motion::{MotionCommand, MotionState, Outline, Pen, Section, Settings, Station, Trajectory, Vertex};
+use etherpen::robots::{JointAngles, Kind, Kinematics, MAIN_AXES};
 use nalgebra::DMatrix;
 use std::error::Error;
 use std::io::Read;
@@ -62,20 +62,39 @@ fn main() -> Outcome<()> {
     Ok(())
 }
 
-/// First line: speed and acceleration of the joints, speed and acceleration of the platform, tolerance; then a vertex a
-/// line: x, y, z, pen.
+/// First line: the kind of robot, of which the usual machine is meant. Second line: speeds and accelerations of the main
+/// axes, speed and acceleration of the tool, tolerance. Then a vertex a line: x, y, z, pen.
 fn parse(text: &str) -> Outcome<(Config, Vec<Vertex>)> {
-    let mut lines = text
-        .lines()
-        .map(|line| line.split_whitespace().map(str::parse).collect::<Result<Vec<f64>, _>>());
-    let mut config = Config::default();
+    let mut lines = text.lines();
+    let kind = lines.next().and_then(Kind::named).ok_or("no kind of robot")?;
+    let mut lines = lines.map(|line| line.split_whitespace().map(str::parse).collect::<Result<Vec<f64>, _>>());
+    let usual = Settings::usual(kind.geometry());
+    let mut config = Config {
+        geometry: usual.geometry,
+        work_area: usual.work_area,
+        paper: usual.paper,
+        ..Config::default()
+    };
     let limits = lines.next().ok_or("no limits")??;
-    let [joint_speed, joint_acceleration, speed, acceleration, tolerance] = limits.as_slice() else {
-        return Err("five limits are needed".into());
+    let [
+        speed_a,
+        speed_b,
+        speed_c,
+        acceleration_a,
+        acceleration_b,
+        acceleration_c,
+        speed,
+        acceleration,
+        tolerance,
+    ] = limits.as_slice()
+    else {
+        return Err("nine limits are needed".into());
     };
     let motion = &mut config.motion;
-    motion.joint_speed_rad_s = [*joint_speed; AXES];
-    motion.joint_acceleration_rad_s2 = [*joint_acceleration; AXES];
+    let [_, _, _, turn_speed] = motion.joint_speed_rad_s;
+    let [_, _, _, turn_acceleration] = motion.joint_acceleration_rad_s2;
+    motion.joint_speed_rad_s = [*speed_a, *speed_b, *speed_c, turn_speed];
+    motion.joint_acceleration_rad_s2 = [*acceleration_a, *acceleration_b, *acceleration_c, turn_acceleration];
     (motion.speed_mm_s, motion.travel_speed_mm_s) = (*speed, *speed);
     motion.acceleration_mm_s2 = *acceleration;
     (motion.tolerance_mm, motion.travel_tolerance_mm) = (*tolerance, *tolerance);

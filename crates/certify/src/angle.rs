@@ -14,6 +14,11 @@ fn pi() -> Interval {
     Interval::between(PI, PI.next_up())
 }
 
+/// A full turn, rad.
+pub(crate) fn turn() -> Interval {
+    pi() * Interval::point(2.0)
+}
+
 /// An angle given in degrees, rad, reduced to at most half a turn.
 pub(crate) fn from_degrees(degrees: f64) -> Interval {
     // The remainder of a division by 360 is exact, and so is taking off a turn from what is left.

@@ -32,15 +32,19 @@ pub(crate) struct Jumps {
 }
 
 /// Largest distance that the average of `window_ms` angles puts between the tool and its place in the window's middle,
-/// mm; infinite if the bounds do not suffice. `rates` bound the motion in the whole window.
-pub(crate) fn addition_mm(window_ms: u16, rates: &Rates, jumps: &Jumps, links_mm: [f64; 2]) -> f64 {
+/// mm; infinite if the bounds do not suffice. `rates` bound the motion in the whole window. Without links the tool's
+/// position is in proportion to the angles, and its average is that of the position.
+pub(crate) fn addition_mm(window_ms: u16, rates: &Rates, jumps: &Jumps, links_mm: Option<[f64; 2]>) -> f64 {
     if window_ms < 2 {
         return 0.0;
     }
     let count = f64::from(window_ms);
     let window_s = count * TICK_S;
     let share = TICK_S * TICK_S * (count * count - 1.0) / 24.0;
-    let [first, last] = links_mm;
+    let Some([first, last]) = links_mm else {
+        let straight = rates.lifted * share + 0.25 * window_s * jumps.velocity + jumps.gap;
+        return straight * ROUNDING;
+    };
     let root = 3.0_f64.sqrt();
     let Rates {
         speed,

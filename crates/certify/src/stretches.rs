@@ -4,7 +4,6 @@
 //! lower bound is over the limit there, this point is a violation. If not, the box is halved, until it is proved or
 //! [`DEPTH_MAX`] is reached.
 
-use crate::angle::of_unit;
 use crate::certificate::{Found, Kind};
 use crate::interval::Interval;
 use crate::limits::{Limits, Quantity};
@@ -132,8 +131,7 @@ impl Moment {
         for axis in 0..MAIN_AXES {
             let joint = &self.joints[axis];
             let speed = joint.slope.value() * rate;
-            let apart = [0, 1, 2].map(|place| velocity[place] - joint.tow[place] * speed);
-            let pull = dot(&apart, &apart) - joint.sway * speed.square();
+            let pull = joint.pull(&velocity, speed);
             let bound = (dot(&joint.link, acceleration) + pull) / joint.lever;
             values[6 + axis] = values[6 + axis].meet(&bound);
             for place in 0..3 {
@@ -332,10 +330,7 @@ fn bounds(
     let middle = Moment::new(robot, stretch, Interval::point(at));
     let whole = Moment::new(robot, stretch, Interval::between(from, to));
     let (here, there) = (middle.acceleration(), whole.acceleration());
-    let angles = middle.joints.map(|joint| {
-        let [cosine, sine] = joint.direction;
-        of_unit(cosine, sine)
-    });
+    let angles = middle.joints.map(|joint| joint.place.angle());
     let middles = middle.series(stretch, &here, angles);
     let wholes = whole.series(stretch, &there, [Interval::ENTIRE; MAIN_AXES]);
     let mut values = std::array::from_fn(|index| range(&middles[index], &wholes[index], half));

@@ -57,6 +57,12 @@ pub struct WorkArea {
     pub centre_mm: [f64; 2],
     /// Radius, mm.
     pub radius_mm: f64,
+    /// Radius of the part around the axis that does not belong to it, mm.
+    pub inner_radius_mm: f64,
+    /// Lowest and highest x, mm.
+    pub x_mm: [f64; 2],
+    /// Lowest and highest y, mm.
+    pub y_mm: [f64; 2],
     /// Lowest z, mm.
     pub z_low_mm: f64,
     /// Highest z, mm.
@@ -68,6 +74,9 @@ impl Default for WorkArea {
         Self {
             centre_mm: [0.0, 0.0],
             radius_mm: 565.0,
+            inner_radius_mm: 0.0,
+            x_mm: [f64::NEG_INFINITY, f64::INFINITY],
+            y_mm: [f64::NEG_INFINITY, f64::INFINITY],
             z_low_mm: -960.0,
             z_high_mm: -700.0,
         }

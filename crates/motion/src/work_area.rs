@@ -566,12 +566,14 @@ mod tests {
 
     #[test]
     fn a_margin_that_uses_up_the_range_is_refused() {
-        let mut settings = Settings::default();
-        settings.geometry = Geometry::Delta(DeltaGeometry {
-            arm_range_rad: [0.0, 0.1],
-            arm_margin_rad: 0.1,
-            ..DeltaGeometry::default()
-        });
+        let settings = Settings {
+            geometry: Geometry::Delta(DeltaGeometry {
+                arm_range_rad: [0.0, 0.1],
+                arm_margin_rad: 0.1,
+                ..DeltaGeometry::default()
+            }),
+            ..Settings::default()
+        };
         assert!(matches!(WorkArea::new(&settings), Err(GeometryError::Range { .. })));
     }
 }

@@ -526,6 +526,9 @@ fn cell(config: &Config) -> monitor::Cell {
         work_area: monitor::WorkArea {
             centre_mm: [0.0; 2],
             radius_mm: config.work_area.radius_mm,
+            inner_radius_mm: config.work_area.inner_radius_mm,
+            x_mm: config.work_area.x_mm,
+            y_mm: config.work_area.y_mm,
             z_low_mm: config.work_area.z_low_mm,
             z_high_mm: config.work_area.z_high_mm,
         },

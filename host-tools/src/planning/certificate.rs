@@ -90,7 +90,7 @@ impl Witness {
         let points = path.iter().map(|vertex| vertex.position.into());
         let limits = limits(config, trajectory.jerk_window_ms(), excess);
         Ok(Self {
-            certifier: Certifier::new(robot(config)?, limits, points.collect()),
+            certifier: Certifier::new(robot(config), limits, points.collect()),
             excess,
             ticks: 0,
         })

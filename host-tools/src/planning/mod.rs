@@ -19,7 +19,7 @@ use certificate::Witness;
 use etherpen::config::{Config, Orientation};
 use etherpen::motion::{MotionCommand, MotionRefusal, MotionState, Observer, Setpoint, Trajectory, Vertex};
 use etherpen::robots::vector::{Vector, length, subtract};
-use etherpen::robots::{GeometryError, JointAngles, Kind, Kinematics, KinematicsError, MAIN_AXES};
+use etherpen::robots::{GeometryError, JointAngles, Kinematics, KinematicsError, MAIN_AXES};
 
 /// Longest motion, ms: a day.
 const DURATION_MAX_MS: u64 = 86_400_000;
@@ -55,8 +55,6 @@ pub struct Run {
 pub enum PlanningError {
     /// The configured dimensions do not form a valid robot.
     Geometry(GeometryError),
-    /// The motion of this kind of robot cannot be certified.
-    NotCertified(Kind),
     /// The path has fewer than two vertices.
     TooShort {
         /// Number of vertices.
@@ -93,11 +91,6 @@ impl std::fmt::Display for PlanningError {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         match self {
             Self::Geometry(cause) => write!(f, "the configured dimensions do not form a valid robot ({cause})"),
-            Self::NotCertified(kind) => write!(
-                f,
-                "the motion of a robot of the kind {} cannot be certified; plan without a certificate",
-                kind.name()
-            ),
             Self::TooShort { vertices } => write!(f, "a path needs two different vertices, here is {vertices}"),
             Self::Start(cause) => write!(f, "the robot cannot stand at the first vertex ({cause:?})"),
             Self::Vertex { index, refusal } => write!(f, "vertex {index}: the planner refuses it ({refusal:?})"),

@@ -6,14 +6,14 @@
 //! one with the elbow outside. There the forearm's product with the elbow's derivative is a D, which gives t' = f . p' /
 //! (a D).
 
-use super::{Joint, MAIN_AXES};
+use super::{Constraint, Joint, MAIN_AXES, Place};
 use crate::angle::{cosine_and_sine, from_degrees};
 use crate::interval::Interval;
 use crate::series::{Series, Series3};
 
-/// Dimensions of a delta robot with equal arms.
+/// DeltaDimensions of a delta robot with equal arms.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Dimensions {
+pub struct DeltaDimensions {
     /// Centre of the base to the shoulder axes, mm.
     pub base_radius_mm: f64,
     /// Length of an upper arm, mm.
@@ -26,7 +26,7 @@ pub struct Dimensions {
     pub azimuths_deg: [f64; MAIN_AXES],
 }
 
-impl Default for Dimensions {
+impl Default for DeltaDimensions {
     /// The IRB 340, as the default configuration describes it.
     fn default() -> Self {
         Self {
@@ -52,7 +52,7 @@ pub struct Delta {
 impl Delta {
     /// A delta robot of these dimensions. With dimensions that are no robot, nothing can be proved.
     #[must_use]
-    pub fn new(dimensions: &Dimensions) -> Self {
+    pub fn new(dimensions: &DeltaDimensions) -> Self {
         Self {
             azimuths: dimensions
                 .azimuths_deg
@@ -92,12 +92,18 @@ impl Delta {
         let (out, across, along) = (out.value(), y.value(), along.value());
         let (cosine, sine) = (cosine.value(), sine.value());
         Joint {
-            direction: [cosine, sine],
+            place: Place::Turned {
+                direction: [cosine, sine],
+                middle_rad: 0.0,
+            },
             slope,
             link: [out * c - across * s, out * s + across * c, along],
             lever: d.value() * upper,
-            tow: [-(upper * sine * c), -(upper * sine * s), -(upper * cosine)],
-            sway: upper * (along * sine - out * cosine),
+            constraint: Constraint::Rod {
+                tow: [-(upper * sine * c), -(upper * sine * s), -(upper * cosine)],
+                sway: upper * (along * sine - out * cosine),
+                level: false,
+            },
         }
     }
 }

@@ -3,8 +3,8 @@
 use crate::paths::Random;
 use crate::planning::{EXCESS, limits, robot};
 use etherpen_certify::{Certificate, Certifier, Kind, Quantity, Stretch};
-use etherpen_motion::Settings;
-use etherpen_motion::robots::{Kinematics, Position};
+use etherpen_motion::robots::{Geometry, Kind as RobotKind, Position, ScaraGeometry};
+use etherpen_motion::{Settings, WorkArea};
 
 /// A straight stretch at one speed.
 fn straight(from: [f64; 3], way: [f64; 3], speed_mm_s: f64, acceleration_mm_s2: f64, duration_s: f64) -> Stretch {
@@ -32,17 +32,37 @@ fn certificate(settings: &Settings, path: &[[f64; 3]], stretches: &[Stretch]) ->
 /// Speeds and accelerations of the joints on a short line are those of the planner's kinematics at its place.
 #[test]
 fn joints_move_as_in_the_planners_kinematics() {
-    let settings = Settings::default();
-    let kinematics = Kinematics::new(&settings.geometry).unwrap();
+    for kind in RobotKind::ALL {
+        joints_move_as_in(&Settings::usual(kind.geometry()));
+    }
+    let other_side = ScaraGeometry {
+        elbow: -1,
+        shoulder_range_rad: [0.0, 5.5],
+        ..ScaraGeometry::default()
+    };
+    joints_move_as_in(&Settings::usual(Geometry::Scara(other_side)));
+}
+
+fn joints_move_as_in(settings: &Settings) {
+    let mut settings = settings.clone();
+    settings.paper.pressing_depth_mm = 1000.0;
+    let settings = &settings;
+    let area = WorkArea::new(settings).unwrap();
+    let (kinematics, volume) = (area.kinematics(), settings.work_area);
+    let reach = |[low, high]: [f64; 2]| [low.max(-volume.radius_mm), high.min(volume.radius_mm)];
+    let ([x_low, x_high], [y_low, y_high]) = (reach(volume.x_mm), reach(volume.y_mm));
     let mut random = Random::new(3);
     let mut checked = 0;
     while checked < 300 {
         let at = [
-            random.between(-300.0, 300.0),
-            random.between(-300.0, 300.0),
-            random.between(-950.0, -750.0),
+            random.between(x_low, x_high),
+            random.between(y_low, y_high),
+            random.between(volume.z_low_mm, volume.z_high_mm),
         ];
-        let Ok(angles) = kinematics.inverse(&Position::from(at)) else {
+        let (Ok(angles), true) = (
+            kinematics.inverse(&Position::from(at)),
+            area.check_around(&Position::from(at), 1.0).is_ok(),
+        ) else {
             continue;
         };
         let direction = [0, 1, 2].map(|_| random.between(-1.0, 1.0));
@@ -52,7 +72,7 @@ fn joints_move_as_in_the_planners_kinematics() {
         let (speed, acceleration) = (random.between(50.0, 300.0), random.between(-3_000.0, 3_000.0));
         let end = [0, 1, 2].map(|axis| at[axis] + unit[axis]);
         let moved = straight(at, unit, speed, acceleration, 1.0e-8);
-        let found = certificate(&settings, &[at, end], &[moved]);
+        let found = certificate(settings, &[at, end], &[moved]);
         for (axis, angle) in angles.into_iter().enumerate() {
             let number = axis as u8 + 1;
             let close = |quantity, expected: f64| {

@@ -1,7 +1,7 @@
 //! Random settings and paths of all characters. A seed gives one path for ever.
 
 use crate::planning::vertex;
-use etherpen_motion::robots::AXES;
+use etherpen_motion::robots::{AXES, Geometry, Kind, Position, ScaraGeometry};
 use etherpen_motion::settings::Orientation;
 use etherpen_motion::{Pen, Settings, Vertex};
 use std::f64::consts::{PI, TAU};
@@ -32,16 +32,25 @@ impl Random {
     }
 }
 
-/// Random limits, tolerances and options.
-pub(crate) fn settings(random: &mut Random) -> Settings {
-    let mut settings = Settings::default();
+/// Random limits, tolerances and options of a usual machine of a kind.
+pub(crate) fn settings(random: &mut Random, kind: Kind) -> Settings {
+    let geometry = match kind.geometry() {
+        // A path that follows its direction winds the fourth axis up.
+        Geometry::Scara(geometry) => Geometry::Scara(ScaraGeometry {
+            turn_range_rad: [-6_283.0, 6_283.0],
+            ..geometry
+        }),
+        other => other,
+    };
+    let mut settings = Settings::usual(geometry);
     let motion = &mut settings.motion;
     motion.speed_mm_s = random.between(50.0, 2_000.0);
     motion.travel_speed_mm_s = motion.speed_mm_s * random.between(1.0, 3.0);
     motion.acceleration_mm_s2 = 10.0_f64.powf(random.between(3.0, 5.0));
     for axis in 0..AXES {
-        motion.joint_speed_rad_s[axis] = random.between(1.0, 30.0);
-        motion.joint_acceleration_rad_s2[axis] = 10.0_f64.powf(random.between(1.5, 3.0));
+        // Of the default machine: 1 to 30 rad/s, 32 to 1,000 rad/s2.
+        motion.joint_speed_rad_s[axis] *= random.between(0.04, 1.2);
+        motion.joint_acceleration_rad_s2[axis] *= 10.0_f64.powf(random.between(-0.9, 0.6));
     }
     motion.tolerance_mm = random.between(0.01, 0.3);
     motion.travel_tolerance_mm = motion.tolerance_mm * random.between(1.0, 10.0);
@@ -59,9 +68,29 @@ pub(crate) fn settings(random: &mut Random) -> Settings {
     settings
 }
 
+/// A path of the default machine where another machine's sheet lies, as large as this machine can draw it.
+pub(crate) fn fitted(path: &[Vertex], settings: &Settings) -> Vec<Vertex> {
+    let (paper, default) = (&settings.paper, Settings::default().paper);
+    let scale = match settings.geometry.kind() {
+        Kind::Delta | Kind::Gantry | Kind::CoreXy => 1.0,
+        Kind::Scara => 0.5,
+        Kind::LinearDelta => 0.4,
+    };
+    let [x_mm, y_mm] = paper.centre_mm;
+    let moved = |at: &Vertex| Vertex {
+        position: Position {
+            x_mm: x_mm + scale * at.position.x_mm,
+            y_mm: y_mm + scale * at.position.y_mm,
+            z_mm: paper.pen_down_z_mm + at.position.z_mm - default.pen_down_z_mm,
+        },
+        ..*at
+    };
+    path.iter().map(moved).collect()
+}
+
 /// One stroke of a random character, lowered and lifted straight or on a slant.
 pub(crate) fn stroke(random: &mut Random, settings: &Settings) -> Vec<Vertex> {
-    let down = settings.paper.pen_down_z_mm;
+    let down = Settings::default().paper.pen_down_z_mm;
     let up = down + settings.paper.pen_lift_mm;
     let slant = [0.0, random.between(-2.0, 2.0)][random.below(2)];
     let mut point = [random.between(-90.0, 90.0), random.between(-90.0, 90.0), down];

@@ -82,8 +82,16 @@ impl Area {
 /// Distance of the tool from the work area, mm; negative inside.
 fn outside_mm(scene: &Scene<'_>, [x, y, z]: &Vector) -> f64 {
     let area = &scene.cell.work_area;
+    let beyond = |value: &f64, [low, high]: [f64; 2]| (value - high).max(low - value);
+    let of_box = beyond(x, area.x_mm).max(beyond(y, area.y_mm));
     let (x, y) = (x - area.centre_mm[0], y - area.centre_mm[1]);
-    let beside = (x * x + y * y).sqrt() - area.radius_mm;
+    let radius = (x * x + y * y).sqrt();
+    let hole = if area.inner_radius_mm > 0.0 {
+        area.inner_radius_mm - radius
+    } else {
+        f64::NEG_INFINITY
+    };
+    let beside = (radius - area.radius_mm).max(hole).max(of_box);
     beside.max(z - area.z_high_mm).max(scene.bounds.z_low_mm - z)
 }
 
@@ -140,6 +148,29 @@ mod tests {
         assert!(broken(&found, Rule::Area), "{found:?}");
         let mut rig = Rig::with(small()).at_height(-844.0).in_motion();
         assert_eq!(rig.go_to_height(-845.2, 200), Ok(()));
+    }
+
+    #[test]
+    fn the_box_and_the_hole_around_the_axis_are_borders_too() {
+        let around = |work_area: WorkArea| Cell {
+            work_area,
+            ..Cell::default()
+        };
+        let boxed = around(WorkArea {
+            x_mm: [-1.0, 500.0],
+            ..WorkArea::default()
+        });
+        let hollow = around(WorkArea {
+            centre_mm: [20.0, 0.0],
+            inner_radius_mm: 19.0,
+            ..WorkArea::default()
+        });
+        for (cell, inside, outside) in [(boxed, 1.0, -3.0), (hollow, -1.0, 3.0)] {
+            let mut rig = Rig::with(cell).at_height(-844.0).in_motion();
+            assert_eq!(rig.go_to([inside, 0.0, -844.0], 200), Ok(()));
+            let found = rig.go_to([outside, 0.0, -844.0], 200);
+            assert!(broken(&found, Rule::Area), "{found:?}");
+        }
     }
 
     #[test]

@@ -259,12 +259,14 @@ fn contradictory_limits_are_refused_by_name() {
         change(&mut settings);
         assert_eq!(settings.check().unwrap_err().bound.name, name);
     }
-    let mut settings = Settings::default();
-    settings.geometry = Geometry::Delta(DeltaGeometry {
-        arm_range_rad: [0.0, 0.1],
-        arm_margin_rad: 0.1,
-        ..DeltaGeometry::default()
-    });
+    let settings = Settings {
+        geometry: Geometry::Delta(DeltaGeometry {
+            arm_range_rad: [0.0, 0.1],
+            arm_margin_rad: 0.1,
+            ..DeltaGeometry::default()
+        }),
+        ..Settings::default()
+    };
     assert!(Trajectory::new(&settings).is_err());
 }
 

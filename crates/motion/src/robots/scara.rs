@@ -76,7 +76,7 @@ impl Default for ScaraGeometry {
             z_mm_per_turn: 20.0,
             z_range_mm: [-150.0, 0.0],
             z_margin_mm: 1.0,
-            turn_range_rad: [-6.283, 6.283],
+            turn_range_rad: [-6.3, 6.3],
         }
     }
 }

@@ -3,7 +3,8 @@
 //!
 //! Every path is planned twice: under the joints' limits alone (25 rad/s, 250 rad/s2), and with 1 m/s and 10 m/s2 for
 //! the platform as well (`PATH@10`); 0.1 mm tolerance, without the moving average, which no peer has. The optimum is
-//! copp's TOPP2-RA on the curve that the planner shapes. Klipper's and grbl's formulas run on the polyline: `raw` with
+//! copp's TOPP2-RA on the curve that the planner shapes. The samples' paths are also planned on the usual machine of every
+//! other kind of robot, under its joints' limits alone (`PATH@KIND`). Klipper's and grbl's formulas run on the polyline: `raw` with
 //! these limits, and with limits reduced until their 1 ms references keep the given ones.
 
 mod junction;
@@ -13,9 +14,9 @@ use super::programs::{self, Machine, OPTIMUM};
 use super::{BenchError, BenchReport, BenchRow, Selection};
 use crate::planning::{Analysis, Findings, plan};
 use etherpen::config::Config;
-use etherpen::motion::{Pen, Vertex};
-use etherpen::robots::Kinematics;
+use etherpen::motion::{Pen, Settings, Vertex};
 use etherpen::robots::vector::{Vector, length, subtract};
+use etherpen::robots::{Kind, Kinematics};
 use junction::{Rule, Task};
 use paths::Named;
 use std::fmt::Write;
@@ -54,8 +55,21 @@ const LIMIT_SETS: [LimitSet; 2] = [
 const TOLERANCE_MM: f64 = 0.1;
 
 impl LimitSet {
-    fn config(self) -> Config {
-        let mut config = Config::default();
+    fn config(self, kind: Kind) -> Config {
+        let Settings {
+            geometry,
+            work_area,
+            paper,
+            motion,
+            ..
+        } = Settings::usual(kind.geometry());
+        let mut config = Config {
+            geometry,
+            work_area,
+            paper,
+            motion,
+            ..Config::default()
+        };
         let motion = &mut config.motion;
         (motion.speed_mm_s, motion.travel_speed_mm_s) = (self.speed_mm_s, self.speed_mm_s);
         motion.acceleration_mm_s2 = self.acceleration_mm_s2;
@@ -75,22 +89,38 @@ pub fn run(selection: &Selection, quick: bool, mut progress: impl FnMut(&str)) -
         paths.extend(paths::generated());
     }
     let sets = if quick { &LIMIT_SETS[..1] } else { &LIMIT_SETS[..] };
+    let mut tasks = Vec::new();
+    for set in sets {
+        let config = set.config(Kind::default());
+        let named = |path: &Named| {
+            (
+                format!("{}{}", path.name, set.suffix),
+                path.vertices.clone(),
+                config.clone(),
+            )
+        };
+        tasks.extend(paths.iter().map(named));
+    }
+    for kind in Kind::ALL.into_iter().filter(|kind| *kind != Kind::default()) {
+        let config = LIMIT_SETS[0].config(kind);
+        for path in paths::samples()? {
+            let name = format!("{}@{}", path.name, kind.name());
+            tasks.push((name, paths::fitted(&path.vertices, &config.paper), config.clone()));
+        }
+    }
     let mut rows = Vec::new();
     let mut built = false;
-    for set in sets {
-        for path in &paths {
-            let name = format!("{}{}", path.name, set.suffix);
-            if !wants_any(selection, &name) {
-                continue;
-            }
-            if selection.wants_subject("copp") && !built {
-                progress("building the optimum");
-                programs::build(Machine::Host, &[OPTIMUM])?;
-                built = true;
-            }
-            progress(&format!("planning {name}"));
-            rows.extend(compare(&name, path, &set.config(), built)?);
+    for (name, vertices, config) in &tasks {
+        if !wants_any(selection, name) {
+            continue;
         }
+        if selection.wants_subject("copp") && !built {
+            progress("building the optimum");
+            programs::build(Machine::Host, &[OPTIMUM])?;
+            built = true;
+        }
+        progress(&format!("planning {name}"));
+        rows.extend(compare(name, vertices, config, built)?);
     }
     if !quick && selection.wants(PLANNER, "etherpen") {
         progress("building the planner for the emulator");
@@ -117,7 +147,7 @@ fn wants_any(selection: &Selection, name: &str) -> bool {
 }
 
 /// All rows of one path under one set of limits.
-fn compare(name: &str, path: &Named, config: &Config, with_optimum: bool) -> Result<Vec<BenchRow>, BenchError> {
+fn compare(name: &str, path: &[Vertex], config: &Config, with_optimum: bool) -> Result<Vec<BenchRow>, BenchError> {
     let mut rows = Vec::new();
     let mut row = |case: &str, subject, value, unit, target| {
         rows.push(BenchRow {
@@ -128,14 +158,14 @@ fn compare(name: &str, path: &Named, config: &Config, with_optimum: bool) -> Res
             target,
         });
     };
-    let own = own(name, &path.vertices, config)?;
+    let own = own(name, path, config)?;
     let optimum = if with_optimum {
-        Some(optimum(&path.vertices, config)?)
+        Some(optimum(path, config)?)
     } else {
         None
     };
     let kinematics = Kinematics::new(&config.geometry).map_err(|cause| failed(name, format!("{cause:?}")))?;
-    let points: Vec<Vector> = path.vertices.iter().map(|vertex| vertex.position.into()).collect();
+    let points: Vec<Vector> = path.iter().map(|vertex| vertex.position.into()).collect();
     let task = Task::new(config, &kinematics, &points);
     let peers = Rule::ALL.map(|rule| (rule, task.raw(rule), task.tuned(rule)));
     let best = peers
@@ -264,10 +294,11 @@ struct Optimum {
 
 fn optimum(path: &[Vertex], config: &Config) -> Result<Optimum, BenchError> {
     let motion = &config.motion;
+    let [speed_a, speed_b, speed_c, _] = motion.joint_speed_rad_s;
+    let [acceleration_a, acceleration_b, acceleration_c, _] = motion.joint_acceleration_rad_s2;
     let mut input = format!(
-        "{} {} {} {} {}\n",
-        motion.joint_speed_rad_s[0],
-        motion.joint_acceleration_rad_s2[0],
+        "{}\n{speed_a} {speed_b} {speed_c} {acceleration_a} {acceleration_b} {acceleration_c} {} {} {}\n",
+        config.geometry.kind().name(),
         motion.speed_mm_s,
         motion.acceleration_mm_s2,
         motion.tolerance_mm
@@ -339,7 +370,7 @@ mod tests {
     fn the_planner_beats_both_peers_at_the_same_limits() {
         let samples = paths::samples().unwrap();
         let square = &samples[0];
-        let rows = compare("square", square, &LIMIT_SETS[0].config(), false).unwrap();
+        let rows = compare("square", &square.vertices, &LIMIT_SETS[0].config(Kind::Delta), false).unwrap();
         for row in rows.iter().filter(|row| row.subject == "etherpen") {
             assert_ne!(row.met(), Some(false), "{row:?}");
         }

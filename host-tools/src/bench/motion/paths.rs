@@ -6,9 +6,13 @@ use super::super::BenchError;
 use crate::drawing::{Input, load};
 use crate::random::Xorshift;
 use crate::setup;
+use etherpen::config::Paper;
 use etherpen::motion::{Pen, Vertex};
+use etherpen::robots::Position;
 use std::f64::consts::TAU;
 
+/// Width of the sheet for which the samples' paths are made, mm.
+const SHEET_MM: f64 = 200.0;
 /// Height of the generated paths, mm.
 const Z_MM: f64 = -750.0;
 /// Seeds of the random paths.
@@ -36,6 +40,25 @@ pub(super) fn samples() -> Result<Vec<Named>, BenchError> {
         }
     };
     ["square", "circle", "text"].into_iter().map(read).collect()
+}
+
+/// A path on the sheet of another machine: as large as its sheet, and at the height of its pen.
+pub(super) fn fitted(path: &[Vertex], paper: &Paper) -> Vec<Vertex> {
+    let [width, height] = paper.size_mm;
+    let scale = width.min(height) / SHEET_MM;
+    let low_mm = path
+        .iter()
+        .fold(f64::INFINITY, |low, vertex| low.min(vertex.position.z_mm));
+    let [x_mm, y_mm] = paper.centre_mm;
+    let moved = |vertex: &Vertex| Vertex {
+        position: Position {
+            x_mm: x_mm + scale * vertex.position.x_mm,
+            y_mm: y_mm + scale * vertex.position.y_mm,
+            z_mm: paper.pen_down_z_mm + vertex.position.z_mm - low_mm,
+        },
+        ..*vertex
+    };
+    path.iter().map(moved).collect()
 }
 
 fn wrong(name: &str, cause: impl std::fmt::Display) -> BenchError {
