@@ -141,7 +141,7 @@ const OTHER_MEANINGS: [(&str, &[&str]); 4] = [
 ];
 
 /// Keys of the configuration that tests write.
-const KEYS: [&str; 11] = [
+const KEYS: [&str; 10] = [
     "upper_arm_mm",
     "forearm_mm",
     "arm_azimuths_deg",
@@ -151,7 +151,6 @@ const KEYS: [&str; 11] = [
     "elbow_range_rad",
     "tower_azimuths_deg",
     "rod_mm",
-    "carriage_mm_per_turn",
     "carriage_range_mm",
 ];
 

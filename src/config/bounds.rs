@@ -29,7 +29,7 @@ impl Field {
             ..Config::default()
         };
         let scalars = config.scalars();
-        let axis = config.axes[0].scalars(0.0, config.geometry.joint_limits_max());
+        let axis = config.axes[0].scalars(0.0);
         let row = usize::from(self.row);
         match self.axis {
             None => scalars.get(row).map_or("unknown", |bound| bound.name),
@@ -101,9 +101,7 @@ impl Axis {
         libm::ceil(needed * 100.0) / 100.0
     }
 
-    /// Bounds of the values; `limits_max` are the kind's highest joint speed, rad/s, and acceleration, rad/s2.
-    fn scalars(&self, joint_speed_rad_s: f64, limits_max: (f64, f64)) -> [Bound; AXIS_BOUNDS] {
-        let (speed_max, acceleration_max) = limits_max;
+    fn scalars(&self, joint_speed_rad_s: f64) -> [Bound; AXIS_BOUNDS] {
         let [vendor, product, revision, alias, switch, serial] = self.identity_bounds(None);
         [
             vendor,
@@ -167,14 +165,14 @@ impl Axis {
                 "axes.feedback_acceleration_max_rad_s2",
                 self.feedback_acceleration_max_rad_s2,
                 100.0,
-                5.0 * acceleration_max,
+                10_000.0,
             ),
-            bound("axes.output_max_rad_s", self.output_max_rad_s, 0.01, 2.0 * speed_max),
+            bound("axes.output_max_rad_s", self.output_max_rad_s, 0.01, 100.0),
             bound(
                 "axes.quick_stop_rad_s2",
                 self.quick_stop_rad_s2,
                 self.quick_stop_min_rad_s2(joint_speed_rad_s).max(1.0),
-                acceleration_max,
+                2000.0,
             ),
             bound("axes.torque_constant_nm_a", self.torque_constant_nm_a, 0.001, 100.0),
             bound("axes.peak_current_a", self.peak_current_a, 0.01, 1000.0),
@@ -222,10 +220,10 @@ impl Config {
     /// # Errors
     /// The first value that is not finite or outside its bounds, with the bounds.
     pub fn check(&self) -> Result<(), ConfigError> {
-        let (kind, limits_max) = (self.geometry.kind(), self.geometry.joint_limits_max());
+        let kind = self.geometry.kind();
         check_rows(&self.scalars(), None, kind)?;
         for (axis, (values, speed_rad_s)) in (0u8..).zip(self.axes.iter().zip(self.motion.joint_speed_rad_s)) {
-            check_rows(&values.scalars(speed_rad_s, limits_max), Some(axis), kind)?;
+            check_rows(&values.scalars(speed_rad_s), Some(axis), kind)?;
             for other in self.axes.iter().take(axis.into()) {
                 check_rows(&values.identity_bounds(Some(other)), Some(axis), kind)?;
             }

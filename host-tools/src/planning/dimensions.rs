@@ -1,10 +1,15 @@
 //! Dimensions of the configured robot for the certificate's own kinematics.
 
 use etherpen::config::{Config, Geometry};
+use etherpen::robots::LINEAR_MM_PER_RAD;
 use etherpen_certify::Robot;
 use etherpen_certify::robot::{
     CoreXy, Delta, DeltaDimensions, Gantry, LinearDelta, LinearDeltaDimensions, Scara, ScaraDimensions,
 };
+use std::f64::consts::TAU;
+
+/// Travel for a turn of the wheel that stands for a linear axis, mm.
+const TURN_MM: f64 = TAU * LINEAR_MM_PER_RAD;
 
 /// The configured robot.
 pub(super) fn robot(config: &Config) -> Robot {
@@ -16,12 +21,8 @@ pub(super) fn robot(config: &Config) -> Robot {
             platform_radius_mm: geometry.platform_radius_mm,
             azimuths_deg: geometry.arm_azimuths_deg,
         })),
-        Geometry::Gantry(geometry) => Robot::Gantry(Gantry::new([
-            geometry.x_mm_per_turn,
-            geometry.y_mm_per_turn,
-            geometry.z_mm_per_turn,
-        ])),
-        Geometry::CoreXy(geometry) => Robot::CoreXy(CoreXy::new(geometry.belt_mm_per_turn, geometry.z_mm_per_turn)),
+        Geometry::Gantry(_) => Robot::Gantry(Gantry::new([TURN_MM; 3])),
+        Geometry::CoreXy(_) => Robot::CoreXy(CoreXy::new(TURN_MM, TURN_MM)),
         Geometry::Scara(geometry) => {
             let [low_rad, high_rad] = geometry.shoulder_range_rad;
             Robot::Scara(Scara::new(&ScaraDimensions {
@@ -29,14 +30,14 @@ pub(super) fn robot(config: &Config) -> Robot {
                 outer_mm: geometry.outer_link_mm,
                 positive: geometry.elbow > 0,
                 shoulder_middle_rad: 0.5 * (low_rad + high_rad),
-                z_mm_per_turn: geometry.z_mm_per_turn,
+                z_mm_per_turn: TURN_MM,
             }))
         }
         Geometry::LinearDelta(geometry) => Robot::LinearDelta(LinearDelta::new(&LinearDeltaDimensions {
             radius_mm: geometry.radius_mm,
             rod_mm: geometry.rod_mm,
             azimuths_deg: geometry.tower_azimuths_deg,
-            carriage_mm_per_turn: geometry.carriage_mm_per_turn,
+            carriage_mm_per_turn: TURN_MM,
         })),
     }
 }

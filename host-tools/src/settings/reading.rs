@@ -119,7 +119,6 @@ pub fn configuration(text: &str) -> Result<Config, ReadingError> {
     let mut table: Spanned<DeTable<'_>> = table;
     apply(table.get_mut(), &converted);
     complete(table.get_mut());
-    roll(table.get_mut());
     Config::deserialize(Deserializer::from(table)).map_err(|mut cause| {
         cause.set_input(Some(text));
         cause.into()
@@ -415,25 +414,6 @@ fn apply<'a>(table: &mut DeTable<'a>, converted: &'a [Converted]) {
             Spanned::new(span.clone(), (*to).into()),
             Spanned::new(span, value.into_inner()),
         );
-    }
-}
-
-/// Tells the kinematics what a turn of the wheel is that stands for a linear axis.
-fn roll(table: &mut DeTable<'_>) {
-    let keys: &[&str] = match kind(table) {
-        Some("gantry") => &["x_mm_per_turn", "y_mm_per_turn", "z_mm_per_turn"],
-        Some("corexy") => &["belt_mm_per_turn", "z_mm_per_turn"],
-        Some("scara") => &["z_mm_per_turn"],
-        Some("linear-delta") => &["carriage_mm_per_turn"],
-        _ => return,
-    };
-    let Some(DeValue::Table(geometry)) = table.get_mut("geometry").map(Spanned::get_mut) else {
-        return;
-    };
-    for key in keys {
-        if let Ok(value) = DeValue::parse("628.3185307179587") {
-            geometry.insert(Spanned::new(0..0, (*key).into()), value);
-        }
     }
 }
 

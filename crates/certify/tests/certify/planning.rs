@@ -42,6 +42,9 @@ impl Observer for Feed {
     }
 }
 
+/// Travel for a turn of the wheel that stands for a linear axis, mm.
+const TURN_MM: f64 = core::f64::consts::TAU * etherpen_motion::robots::LINEAR_MM_PER_RAD;
+
 /// The robot of some settings.
 pub(crate) fn robot(settings: &Settings) -> Robot {
     match &settings.geometry {
@@ -52,12 +55,8 @@ pub(crate) fn robot(settings: &Settings) -> Robot {
             platform_radius_mm: geometry.platform_radius_mm,
             azimuths_deg: geometry.arm_azimuths_deg,
         })),
-        Geometry::Gantry(geometry) => Robot::Gantry(Gantry::new([
-            geometry.x_mm_per_turn,
-            geometry.y_mm_per_turn,
-            geometry.z_mm_per_turn,
-        ])),
-        Geometry::CoreXy(geometry) => Robot::CoreXy(CoreXy::new(geometry.belt_mm_per_turn, geometry.z_mm_per_turn)),
+        Geometry::Gantry(_) => Robot::Gantry(Gantry::new([TURN_MM; 3])),
+        Geometry::CoreXy(_) => Robot::CoreXy(CoreXy::new(TURN_MM, TURN_MM)),
         Geometry::Scara(geometry) => {
             let [low_rad, high_rad] = geometry.shoulder_range_rad;
             Robot::Scara(Scara::new(&ScaraDimensions {
@@ -65,14 +64,14 @@ pub(crate) fn robot(settings: &Settings) -> Robot {
                 outer_mm: geometry.outer_link_mm,
                 positive: geometry.elbow > 0,
                 shoulder_middle_rad: 0.5 * (low_rad + high_rad),
-                z_mm_per_turn: geometry.z_mm_per_turn,
+                z_mm_per_turn: TURN_MM,
             }))
         }
         Geometry::LinearDelta(geometry) => Robot::LinearDelta(LinearDelta::new(&LinearDeltaDimensions {
             radius_mm: geometry.radius_mm,
             rod_mm: geometry.rod_mm,
             azimuths_deg: geometry.tower_azimuths_deg,
-            carriage_mm_per_turn: geometry.carriage_mm_per_turn,
+            carriage_mm_per_turn: TURN_MM,
         })),
     }
 }

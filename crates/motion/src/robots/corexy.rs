@@ -6,7 +6,7 @@
 //! Invariant: a result is finite or an error; no input panics.
 
 use super::geometry::GeometryError;
-use super::linear::{BELT_LIMITS, LIFT_LIMITS, Linear, angles_rad, check_stroke, limits_rad};
+use super::linear::{BELT_LIMITS, LIFT_LIMITS, Linear, WHEEL, angles_rad, check_stroke};
 use super::vector::Vector;
 use super::{ConditioningMin, JointAngles, JointRanges, JointRows, KinematicsError, MAIN_AXES, Position, Words};
 use crate::bounds::{Bound, bound};
@@ -29,10 +29,6 @@ pub(super) const CONDITIONING_MIN: ConditioningMin = ConditioningMin {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct CoreXyGeometry {
-    /// Travel of a belt for one turn of its pulley, mm.
-    pub belt_mm_per_turn: f64,
-    /// Travel of z for one turn of its pulley or screw, mm.
-    pub z_mm_per_turn: f64,
     /// Lowest and highest x, mm.
     pub x_range_mm: [f64; 2],
     /// Lowest and highest y, mm.
@@ -50,8 +46,6 @@ impl Default for CoreXyGeometry {
     /// 8 mm.
     fn default() -> Self {
         Self {
-            belt_mm_per_turn: 40.0,
-            z_mm_per_turn: 8.0,
             x_range_mm: [0.0, 350.0],
             y_range_mm: [0.0, 350.0],
             z_range_mm: [-50.0, 0.0],
@@ -63,12 +57,10 @@ impl Default for CoreXyGeometry {
 
 impl CoreXyGeometry {
     /// Hard bounds of the dimensions, named as configuration files write them.
-    pub(super) fn bounds(&self) -> [Bound; 11] {
+    pub(super) fn bounds(&self) -> [Bound; 9] {
         let [[x_low, x_high], [y_low, y_high], [z_low, z_high]] = [self.x_range_mm, self.y_range_mm, self.z_range_mm];
         let [turn_low_rad, turn_high_rad] = self.turn_range_rad;
         [
-            bound("geometry.belt_mm_per_turn", self.belt_mm_per_turn, 0.1, 1000.0),
-            bound("geometry.z_mm_per_turn", self.z_mm_per_turn, 0.1, 1000.0),
             bound("geometry.x_range_mm[0]", x_low, -5000.0, x_high),
             bound("geometry.x_range_mm[1]", x_high, x_low, 5000.0),
             bound("geometry.y_range_mm[0]", y_low, -5000.0, y_high),
@@ -86,22 +78,22 @@ impl CoreXyGeometry {
     pub(super) fn ranges_rad(&self) -> [[f64; 2]; MAIN_AXES] {
         let ([x_low, x_high], [y_low, y_high]) = (self.x_range_mm, self.y_range_mm);
         [
-            angles_rad([x_low + y_low, x_high + y_high], self.belt_mm_per_turn),
-            angles_rad([x_low - y_high, x_high - y_low], self.belt_mm_per_turn),
-            angles_rad(self.z_range_mm, self.z_mm_per_turn),
+            angles_rad([x_low + y_low, x_high + y_high]),
+            angles_rad([x_low - y_high, x_high - y_low]),
+            angles_rad(self.z_range_mm),
         ]
     }
 
     /// Angles of the margin, rad. The belts' is 0, because x and y keep theirs.
     pub(super) fn margins_rad(&self) -> [f64; MAIN_AXES] {
-        let [_, margin] = angles_rad([0.0, self.margin_mm], self.z_mm_per_turn);
+        let [_, margin] = angles_rad([0.0, self.margin_mm]);
         [0.0, 0.0, margin]
     }
 
     /// Usual highest speed and acceleration of each main axis, rad/s and rad/s2.
     pub(super) fn usual_limits(&self) -> [[f64; 2]; MAIN_AXES] {
-        let belt = limits_rad(BELT_LIMITS, self.belt_mm_per_turn);
-        [belt, belt, limits_rad(LIFT_LIMITS, self.z_mm_per_turn)]
+        let belt = angles_rad(BELT_LIMITS);
+        [belt, belt, angles_rad(LIFT_LIMITS)]
     }
 
     /// The volume that the ranges leave without their margins.
@@ -142,8 +134,8 @@ impl CoreXy {
             check_stroke(range_mm)?;
         }
         Ok(Self {
-            belt: Linear::new(geometry.belt_mm_per_turn)?,
-            z: Linear::new(geometry.z_mm_per_turn)?,
+            belt: WHEEL,
+            z: WHEEL,
             ranges_rad: geometry.ranges_rad(),
         })
     }
@@ -199,14 +191,13 @@ impl CoreXy {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use core::f64::consts::TAU;
+    use crate::robots::LINEAR_MM_PER_RAD;
 
     /// Values in mm of the joints, 1e-9 of which an angle may differ.
     fn check(angles: [f64; MAIN_AXES], expected_mm: [f64; MAIN_AXES]) {
-        let per_turn = [40.0, 40.0, 8.0];
-        for ((angle, expected), mm_per_turn) in angles.iter().zip(expected_mm).zip(per_turn) {
+        for (angle, expected) in angles.iter().zip(expected_mm) {
             assert!(
-                (angle * mm_per_turn / TAU - expected).abs() < 1.0e-9,
+                (angle * LINEAR_MM_PER_RAD - expected).abs() < 1.0e-9,
                 "{angles:?}, {expected_mm:?}"
             );
         }
@@ -252,7 +243,7 @@ mod tests {
     #[test]
     fn an_error_of_one_motor_moves_both_axes_by_half_of_it() {
         let machine = CoreXy::new(&CoreXyGeometry::default()).unwrap();
-        let tool = machine.forward(&JointAngles([TAU, 0.0, 0.0, 0.0])).unwrap();
+        let tool = machine.forward(&JointAngles([0.4, 0.0, 0.0, 0.0])).unwrap();
         assert!(
             (tool.x_mm - 20.0).abs() < 1.0e-12 && (tool.y_mm - 20.0).abs() < 1.0e-12,
             "{tool:?}"

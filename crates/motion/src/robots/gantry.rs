@@ -5,7 +5,7 @@
 //! Invariant: a result is finite or an error; no input panics.
 
 use super::geometry::GeometryError;
-use super::linear::{BELT_LIMITS, LIFT_LIMITS, Linear, angles_rad, check_stroke, limits_rad};
+use super::linear::{BELT_LIMITS, LIFT_LIMITS, Linear, WHEEL, angles_rad, check_stroke};
 use super::vector::Vector;
 use super::{ConditioningMin, JointAngles, JointRanges, JointRows, KinematicsError, MAIN_AXES, Position, Words};
 use crate::bounds::{Bound, bound};
@@ -28,12 +28,6 @@ pub(super) const CONDITIONING_MIN: ConditioningMin = ConditioningMin {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct GantryGeometry {
-    /// Travel of x for one turn of its pulley or screw, mm.
-    pub x_mm_per_turn: f64,
-    /// Travel of y for one turn of its pulley or screw, mm.
-    pub y_mm_per_turn: f64,
-    /// Travel of z for one turn of its pulley or screw, mm.
-    pub z_mm_per_turn: f64,
     /// Lowest and highest x, mm.
     pub x_range_mm: [f64; 2],
     /// Lowest and highest y, mm.
@@ -50,9 +44,6 @@ impl Default for GantryGeometry {
     /// A plotter for A2: belts over pulleys of 20 teeth with a pitch of 2 mm, and a screw with a pitch of 8 mm.
     fn default() -> Self {
         Self {
-            x_mm_per_turn: 40.0,
-            y_mm_per_turn: 40.0,
-            z_mm_per_turn: 8.0,
             x_range_mm: [0.0, 600.0],
             y_range_mm: [0.0, 450.0],
             z_range_mm: [-60.0, 0.0],
@@ -64,13 +55,10 @@ impl Default for GantryGeometry {
 
 impl GantryGeometry {
     /// Hard bounds of the dimensions, named as configuration files write them.
-    pub(super) fn bounds(&self) -> [Bound; 12] {
+    pub(super) fn bounds(&self) -> [Bound; 9] {
         let [[x_low, x_high], [y_low, y_high], [z_low, z_high]] = [self.x_range_mm, self.y_range_mm, self.z_range_mm];
         let [turn_low_rad, turn_high_rad] = self.turn_range_rad;
         [
-            bound("geometry.x_mm_per_turn", self.x_mm_per_turn, 0.1, 1000.0),
-            bound("geometry.y_mm_per_turn", self.y_mm_per_turn, 0.1, 1000.0),
-            bound("geometry.z_mm_per_turn", self.z_mm_per_turn, 0.1, 1000.0),
             bound("geometry.x_range_mm[0]", x_low, -5000.0, x_high),
             bound("geometry.x_range_mm[1]", x_high, x_low, 5000.0),
             bound("geometry.y_range_mm[0]", y_low, -5000.0, y_high),
@@ -86,26 +74,24 @@ impl GantryGeometry {
     /// Lowest and highest angle of each main axis, rad.
     pub(super) fn ranges_rad(&self) -> [[f64; 2]; MAIN_AXES] {
         [
-            angles_rad(self.x_range_mm, self.x_mm_per_turn),
-            angles_rad(self.y_range_mm, self.y_mm_per_turn),
-            angles_rad(self.z_range_mm, self.z_mm_per_turn),
+            angles_rad(self.x_range_mm),
+            angles_rad(self.y_range_mm),
+            angles_rad(self.z_range_mm),
         ]
     }
 
     /// Angles of the margin, rad.
     pub(super) fn margins_rad(&self) -> [f64; MAIN_AXES] {
-        [self.x_mm_per_turn, self.y_mm_per_turn, self.z_mm_per_turn].map(|travel| {
-            let [_, margin] = angles_rad([0.0, self.margin_mm], travel);
-            margin
-        })
+        let [_, margin] = angles_rad([0.0, self.margin_mm]);
+        [margin; MAIN_AXES]
     }
 
     /// Usual highest speed and acceleration of each main axis, rad/s and rad/s2.
     pub(super) fn usual_limits(&self) -> [[f64; 2]; MAIN_AXES] {
         [
-            limits_rad(BELT_LIMITS, self.x_mm_per_turn),
-            limits_rad(BELT_LIMITS, self.y_mm_per_turn),
-            limits_rad(LIFT_LIMITS, self.z_mm_per_turn),
+            angles_rad(BELT_LIMITS),
+            angles_rad(BELT_LIMITS),
+            angles_rad(LIFT_LIMITS),
         ]
     }
 
@@ -146,11 +132,7 @@ impl Gantry {
             check_stroke(range_mm)?;
         }
         Ok(Self {
-            axes: [
-                Linear::new(geometry.x_mm_per_turn)?,
-                Linear::new(geometry.y_mm_per_turn)?,
-                Linear::new(geometry.z_mm_per_turn)?,
-            ],
+            axes: [WHEEL, WHEEL, WHEEL],
             ranges_rad: geometry.ranges_rad(),
         })
     }
@@ -202,13 +184,12 @@ impl Gantry {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use core::f64::consts::TAU;
 
     #[test]
-    fn a_travel_is_a_turn_of_the_pulley() {
+    fn a_length_is_an_angle_of_the_wheel() {
         let gantry = Gantry::new(&GantryGeometry::default()).unwrap();
         let at = |x_mm, y_mm, z_mm| gantry.inverse(&Position { x_mm, y_mm, z_mm });
-        assert_eq!(at(40.0, 120.0, -4.0), Ok([TAU, 3.0 * TAU, -0.5 * TAU]));
+        assert_eq!(at(40.0, 120.0, -4.0), Ok([0.4, 1.2, -0.04]));
         assert!(matches!(
             at(600.5, 0.0, 0.0),
             Err(KinematicsError::Range { joint: 0, .. })
@@ -231,10 +212,7 @@ mod tests {
             change(&mut geometry);
             Gantry::new(&geometry).unwrap_err()
         };
-        assert_eq!(refuse(|g| g.x_mm_per_turn = f64::NAN), GeometryError::NotFinite);
         assert_eq!(refuse(|g| g.y_range_mm[1] = f64::INFINITY), GeometryError::NotFinite);
-        let travel = refuse(|g| g.z_mm_per_turn = 0.0);
-        assert_eq!(travel, GeometryError::Travel { mm_per_turn: 0.0 });
         let stroke = refuse(|g| g.x_range_mm = [5.0, 5.0]);
         assert!(matches!(stroke, GeometryError::Stroke { .. }));
     }

@@ -136,7 +136,7 @@ impl Default for Geometry {
 
 impl Geometry {
     /// Number of rows in [`Geometry::bounds`].
-    pub const BOUNDS: usize = 14;
+    pub const BOUNDS: usize = 13;
 
     /// The kind of robot.
     #[must_use]
@@ -184,16 +184,6 @@ impl Geometry {
             Self::CoreXy(geometry) => geometry.z_range_mm,
             Self::Scara(geometry) => geometry.z_range_mm,
             Self::LinearDelta(geometry) => geometry.heights_mm(),
-        }
-    }
-
-    /// Highest speed and acceleration that any joint may be allowed, rad/s and rad/s2. A pulley or screw turns many
-    /// times where another joint turns a part of once.
-    #[must_use]
-    pub fn joint_limits_max(&self) -> (f64, f64) {
-        match self {
-            Self::Delta(_) => (50.0, 2000.0),
-            Self::Gantry(_) | Self::CoreXy(_) | Self::Scara(_) | Self::LinearDelta(_) => (1000.0, 100_000.0),
         }
     }
 
@@ -324,11 +314,6 @@ pub enum GeometryError {
         /// Upper end, mm.
         high_mm: f64,
     },
-    /// The travel per turn of a linear axis is not positive.
-    Travel {
-        /// The travel, mm.
-        mm_per_turn: f64,
-    },
     /// The dimensions do not form a delta robot.
     Delta(DeltaError),
     /// The dimensions do not form a SCARA.
@@ -347,10 +332,6 @@ impl fmt::Display for GeometryError {
             Self::Stroke { low_mm, high_mm } => {
                 write!(f, "the range of an axis from {low_mm} to {high_mm} mm is empty")
             }
-            Self::Travel { mm_per_turn } => write!(
-                f,
-                "an axis travels {mm_per_turn} mm for a turn; the travel has to be larger than 0"
-            ),
             Self::Delta(error) => error.fmt(f),
             Self::Scara(error) => error.fmt(f),
             Self::LinearDelta(error) => error.fmt(f),

@@ -7,7 +7,7 @@
 //! Invariant: a result is finite or an error; no input panics.
 
 use super::geometry::GeometryError;
-use super::linear::{BELT_LIMITS, Linear, angles_rad, check_stroke, limits_rad};
+use super::linear::{BELT_LIMITS, Linear, WHEEL, angles_rad, check_stroke};
 use super::spheres::lower_meeting;
 use super::vector::{Vector, cross, dot, root, scale};
 use super::{
@@ -51,8 +51,6 @@ pub struct LinearDeltaGeometry {
     pub rod_mm: f64,
     /// Azimuths of the towers, degrees.
     pub tower_azimuths_deg: [f64; 3],
-    /// Travel of a carriage for one turn of its pulley or screw, mm.
-    pub carriage_mm_per_turn: f64,
     /// Lowest and highest carriage, mm.
     pub carriage_range_mm: [f64; 2],
     /// Margin kept from both ends of the carriages' range, mm.
@@ -68,7 +66,6 @@ impl Default for LinearDeltaGeometry {
             radius_mm: 134.0,
             rod_mm: 265.0,
             tower_azimuths_deg: [90.0, 210.0, 330.0],
-            carriage_mm_per_turn: 40.0,
             carriage_range_mm: [60.0, 560.0],
             margin_mm: 1.0,
             turn_range_rad: [-6_283.0, 6_283.0],
@@ -121,7 +118,7 @@ impl fmt::Display for LinearDeltaError {
 
 impl LinearDeltaGeometry {
     /// Hard bounds of the dimensions, named as configuration files write them.
-    pub(super) fn bounds(&self) -> [Bound; 11] {
+    pub(super) fn bounds(&self) -> [Bound; 10] {
         let [first_deg, second_deg, third_deg] = self.tower_azimuths_deg;
         let ([low_mm, high_mm], [turn_low_rad, turn_high_rad]) = (self.carriage_range_mm, self.turn_range_rad);
         [
@@ -130,7 +127,6 @@ impl LinearDeltaGeometry {
             bound("geometry.tower_azimuths_deg[0]", first_deg, -360.0, 360.0),
             bound("geometry.tower_azimuths_deg[1]", second_deg, -360.0, 360.0),
             bound("geometry.tower_azimuths_deg[2]", third_deg, -360.0, 360.0),
-            bound("geometry.carriage_mm_per_turn", self.carriage_mm_per_turn, 0.1, 1000.0),
             bound("geometry.carriage_range_mm[0]", low_mm, -5000.0, high_mm),
             bound("geometry.carriage_range_mm[1]", high_mm, low_mm, 5000.0),
             bound("geometry.margin_mm", self.margin_mm, 0.0, 100.0),
@@ -152,18 +148,18 @@ impl LinearDeltaGeometry {
 
     /// Lowest and highest angle of each main axis, rad.
     pub(super) fn ranges_rad(&self) -> [[f64; 2]; TOWERS] {
-        [angles_rad(self.carriage_range_mm, self.carriage_mm_per_turn); TOWERS]
+        [angles_rad(self.carriage_range_mm); TOWERS]
     }
 
     /// Angles of the margin, rad.
     pub(super) fn margins_rad(&self) -> [f64; TOWERS] {
-        let [_, margin] = angles_rad([0.0, self.margin_mm], self.carriage_mm_per_turn);
+        let [_, margin] = angles_rad([0.0, self.margin_mm]);
         [margin; TOWERS]
     }
 
     /// Usual highest speed and acceleration of each main axis, rad/s and rad/s2.
     pub(super) fn usual_limits(&self) -> [[f64; 2]; TOWERS] {
-        [limits_rad(BELT_LIMITS, self.carriage_mm_per_turn); TOWERS]
+        [angles_rad(BELT_LIMITS); TOWERS]
     }
 
     /// A cylinder between the towers: as high as the carriages reach at its border, where the heights of the rods differ
@@ -227,7 +223,7 @@ impl LinearDelta {
             }
         }
         check_stroke(geometry.carriage_range_mm)?;
-        let carriage = Linear::new(geometry.carriage_mm_per_turn)?;
+        let carriage = WHEEL;
         Ok(Self {
             towers: azimuths.map(|azimuth_deg| {
                 let azimuth = azimuth_deg.to_radians();
@@ -235,7 +231,7 @@ impl LinearDelta {
             }),
             rod_mm,
             carriage,
-            range_rad: carriage.range_rad(geometry.carriage_range_mm),
+            range_rad: angles_rad(geometry.carriage_range_mm),
         })
     }
 
@@ -366,13 +362,13 @@ impl LinearDelta {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use core::f64::consts::TAU;
+    use crate::robots::LINEAR_MM_PER_RAD;
 
     /// Values in mm of the carriages, 1e-9 of which an angle may differ.
     fn check(angles: [f64; TOWERS], expected_mm: [f64; TOWERS]) {
         for (angle, expected) in angles.iter().zip(expected_mm) {
             assert!(
-                (angle * 40.0 / TAU - expected).abs() < 1.0e-9,
+                (angle * LINEAR_MM_PER_RAD - expected).abs() < 1.0e-9,
                 "{angles:?}, {expected_mm:?}"
             );
         }
@@ -459,7 +455,5 @@ mod tests {
             towers,
             GeometryError::LinearDelta(LinearDeltaError::Towers { .. })
         ));
-        let travel = refuse(|g| g.carriage_mm_per_turn = -40.0);
-        assert!(matches!(travel, GeometryError::Travel { .. }));
     }
 }

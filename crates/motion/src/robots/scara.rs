@@ -7,7 +7,7 @@
 //! Invariant: a result is finite or an error; no input panics.
 
 use super::geometry::GeometryError;
-use super::linear::{Linear, angles_rad, check_stroke, limits_rad};
+use super::linear::{Linear, WHEEL, angles_rad, check_stroke};
 use super::vector::{Vector, root};
 use super::{
     Change, Conditioning, ConditioningMin, JointAngles, JointRanges, JointRows, KinematicsError, MAIN_AXES, Position,
@@ -53,8 +53,6 @@ pub struct ScaraGeometry {
     pub elbow_range_rad: [f64; 2],
     /// Margin kept from both ends of the ranges of shoulder and elbow, radians.
     pub margin_rad: f64,
-    /// Travel of z for one turn of its pulley or screw, mm.
-    pub z_mm_per_turn: f64,
     /// Lowest and highest z, mm.
     pub z_range_mm: [f64; 2],
     /// Margin kept from both ends of the range of z, mm.
@@ -73,7 +71,6 @@ impl Default for ScaraGeometry {
             shoulder_range_rad: [-2.3, 2.3],
             elbow_range_rad: [-2.6, 2.6],
             margin_rad: 0.01745,
-            z_mm_per_turn: 20.0,
             z_range_mm: [-150.0, 0.0],
             z_margin_mm: 1.0,
             turn_range_rad: [-6.3, 6.3],
@@ -121,7 +118,7 @@ impl fmt::Display for ScaraError {
 
 impl ScaraGeometry {
     /// Hard bounds of the dimensions, named as configuration files write them.
-    pub(super) fn bounds(&self) -> [Bound; 14] {
+    pub(super) fn bounds(&self) -> [Bound; 13] {
         let ([shoulder_low, shoulder_high], [elbow_low, elbow_high]) = (self.shoulder_range_rad, self.elbow_range_rad);
         let ([z_low, z_high], [turn_low_rad, turn_high_rad]) = (self.z_range_mm, self.turn_range_rad);
         [
@@ -138,7 +135,6 @@ impl ScaraGeometry {
             bound("geometry.elbow_range_rad[0]", elbow_low, -3.0, elbow_high),
             bound("geometry.elbow_range_rad[1]", elbow_high, elbow_low, 3.0),
             bound("geometry.margin_rad", self.margin_rad, 0.0, 0.2),
-            bound("geometry.z_mm_per_turn", self.z_mm_per_turn, 0.1, 1000.0),
             bound("geometry.z_range_mm[0]", z_low, -2000.0, z_high),
             bound("geometry.z_range_mm[1]", z_high, z_low, 2000.0),
             bound("geometry.z_margin_mm", self.z_margin_mm, 0.0, 100.0),
@@ -157,20 +153,20 @@ impl ScaraGeometry {
         [
             self.shoulder_range_rad,
             self.elbow_range_rad,
-            angles_rad(self.z_range_mm, self.z_mm_per_turn),
+            angles_rad(self.z_range_mm),
         ]
     }
 
     /// Angles of the margins, rad.
     pub(super) fn margins_rad(&self) -> [f64; MAIN_AXES] {
-        let [_, of_z] = angles_rad([0.0, self.z_margin_mm], self.z_mm_per_turn);
+        let [_, of_z] = angles_rad([0.0, self.z_margin_mm]);
         [self.margin_rad, self.margin_rad, of_z]
     }
 
     /// Usual highest speed and acceleration of each main axis, rad/s and rad/s2: 450 degrees a second for the links.
     pub(super) fn usual_limits(&self) -> [[f64; 2]; MAIN_AXES] {
         let link = [7.85, 100.0];
-        [link, link, limits_rad([500.0, 5000.0], self.z_mm_per_turn)]
+        [link, link, angles_rad([500.0, 5000.0])]
     }
 
     /// The ring and heights that the links reach at all; the ranges of the joints cut a part out of them.
@@ -253,7 +249,7 @@ impl Scara {
             inner_mm: inner_link_mm,
             outer_mm: outer_link_mm,
             elbow: f64::from(elbow),
-            z: Linear::new(geometry.z_mm_per_turn)?,
+            z: WHEEL,
             ranges_rad: geometry.ranges_rad(),
         })
     }
@@ -466,7 +462,7 @@ mod tests {
             .chain(golden(NEGATIVE).map(|golden| (-1, golden)));
         for (elbow, golden) in sides {
             let ([point, tangent, bend], [q, slope, second]): Golden = golden;
-            let (scara, rad_per_mm) = (robot(elbow), TAU / 20.0);
+            let (scara, rad_per_mm) = (robot(elbow), 1.0 / crate::robots::LINEAR_MM_PER_RAD);
             let rows = scara.rows(&point, &tangent, &bend);
             let inverse = scara.inverse(&point.into()).unwrap();
             for (values, expected, z) in [

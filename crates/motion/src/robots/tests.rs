@@ -219,19 +219,19 @@ proptest! {
         let [a, b, c, d, e, f, g, h] = values;
         let geometries = [
             Geometry::Gantry(GantryGeometry {
-                x_mm_per_turn: a, y_mm_per_turn: b, z_mm_per_turn: c, x_range_mm: [d, e], y_range_mm: [f, g], margin_mm: h,
+                x_range_mm: [a, b], y_range_mm: [c, d], z_range_mm: [e, f], margin_mm: g,
                 ..GantryGeometry::default()
             }),
             Geometry::CoreXy(CoreXyGeometry {
-                belt_mm_per_turn: a, z_mm_per_turn: b, x_range_mm: [c, d], y_range_mm: [e, f], z_range_mm: [g, h],
+                x_range_mm: [a, b], y_range_mm: [c, d], z_range_mm: [e, f], margin_mm: g,
                 ..CoreXyGeometry::default()
             }),
             Geometry::Scara(ScaraGeometry {
                 inner_link_mm: a, outer_link_mm: b, elbow: side, shoulder_range_rad: [c, d], elbow_range_rad: [e, f],
-                z_mm_per_turn: g, margin_rad: h, ..ScaraGeometry::default()
+                z_margin_mm: g, margin_rad: h, ..ScaraGeometry::default()
             }),
             Geometry::LinearDelta(LinearDeltaGeometry {
-                radius_mm: a, rod_mm: b, tower_azimuths_deg: [c, d, e], carriage_mm_per_turn: f, carriage_range_mm: [g, h],
+                radius_mm: a, rod_mm: b, tower_azimuths_deg: [c, d, e], carriage_range_mm: [f, g], margin_mm: h,
                 ..LinearDeltaGeometry::default()
             }),
         ];

@@ -6,6 +6,11 @@ use super::{Settings, WorkVolume};
 use crate::bounds::{Bound, Violation, bound, first_violation};
 use crate::robots::Geometry;
 
+/// Highest speed that a joint may be allowed, rad/s.
+const JOINT_SPEED_MAX_RAD_S: f64 = 50.0;
+/// Highest acceleration that a joint may be allowed, rad/s2.
+const JOINT_ACCELERATION_MAX_RAD_S2: f64 = 2000.0;
+
 impl Settings {
     /// Number of rows in [`Settings::bounds`].
     pub const BOUNDS: usize = Geometry::BOUNDS + 29;
@@ -15,7 +20,6 @@ impl Settings {
     pub fn bounds(&self) -> [Bound; Self::BOUNDS] {
         let (geometry, area, paper, motion) = (&self.geometry, &self.work_area, &self.paper, &self.motion);
         let (reach, [floor, ceiling]) = (geometry.reach_mm(), geometry.heights_mm());
-        let (joint_speed_max, joint_acceleration_max) = geometry.joint_limits_max();
         let farthest = WorkVolume::BORDER_MAX_MM;
         let rows: [Bound; Self::BOUNDS - Geometry::BOUNDS] = [
             bound("work_area.radius_mm", area.radius_mm, 1.0, reach),
@@ -73,25 +77,25 @@ impl Settings {
                 "motion.joint_speed_rad_s",
                 largest(&motion.joint_speed_rad_s),
                 0.01,
-                joint_speed_max,
+                JOINT_SPEED_MAX_RAD_S,
             ),
             bound(
                 "motion.joint_speed_rad_s",
                 smallest(&motion.joint_speed_rad_s),
                 0.01,
-                joint_speed_max,
+                JOINT_SPEED_MAX_RAD_S,
             ),
             bound(
                 "motion.joint_acceleration_rad_s2",
                 largest(&motion.joint_acceleration_rad_s2),
                 0.1,
-                joint_acceleration_max,
+                JOINT_ACCELERATION_MAX_RAD_S2,
             ),
             bound(
                 "motion.joint_acceleration_rad_s2",
                 smallest(&motion.joint_acceleration_rad_s2),
                 0.1,
-                joint_acceleration_max,
+                JOINT_ACCELERATION_MAX_RAD_S2,
             ),
             bound("motion.tolerance_mm", motion.tolerance_mm, 0.005, 5.0),
             bound(

@@ -9,6 +9,6 @@ pub(super) fn robot(geometry: &LinearDeltaGeometry) -> LinearDelta {
         radius_mm: geometry.radius_mm,
         rod_mm: geometry.rod_mm,
         azimuths_deg: geometry.tower_azimuths_deg,
-        carriage_mm_per_turn: geometry.carriage_mm_per_turn,
+        carriage_mm_per_turn: super::TURN_MM,
     })
 }

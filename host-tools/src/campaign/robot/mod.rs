@@ -4,26 +4,22 @@ mod delta;
 mod linear_delta;
 
 use etherpen::config::Geometry;
-use etherpen::robots::AXES;
+use etherpen::robots::{AXES, LINEAR_MM_PER_RAD};
 use etherpen_monitor::Robot;
 use etherpen_monitor::robot::{CoreXy, Gantry, Scara};
+use std::f64::consts::TAU;
+
+/// Travel for a turn of the wheel that stands for a linear axis, mm.
+const TURN_MM: f64 = TAU * LINEAR_MM_PER_RAD;
 
 /// The robot of these dimensions.
 #[must_use]
 pub fn robot(geometry: &Geometry) -> Robot {
     match geometry {
         Geometry::Delta(geometry) => Robot::Delta(delta::robot(geometry)),
-        Geometry::Gantry(geometry) => Robot::Gantry(Gantry::new([
-            geometry.x_mm_per_turn,
-            geometry.y_mm_per_turn,
-            geometry.z_mm_per_turn,
-        ])),
-        Geometry::CoreXy(geometry) => Robot::CoreXy(CoreXy::new(geometry.belt_mm_per_turn, geometry.z_mm_per_turn)),
-        Geometry::Scara(geometry) => Robot::Scara(Scara::new(
-            geometry.inner_link_mm,
-            geometry.outer_link_mm,
-            geometry.z_mm_per_turn,
-        )),
+        Geometry::Gantry(_) => Robot::Gantry(Gantry::new([TURN_MM; 3])),
+        Geometry::CoreXy(_) => Robot::CoreXy(CoreXy::new(TURN_MM, TURN_MM)),
+        Geometry::Scara(geometry) => Robot::Scara(Scara::new(geometry.inner_link_mm, geometry.outer_link_mm, TURN_MM)),
         Geometry::LinearDelta(geometry) => Robot::LinearDelta(linear_delta::robot(geometry)),
     }
 }
