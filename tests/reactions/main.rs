@@ -494,11 +494,13 @@ fn a_configuration_is_needed_checked_and_kept() {
     robot.configure(&wrong);
     assert!(matches!(robot.configured[0], Err(ConfigRefusal::Bounds(error)) if error.field.axis == Some(3)));
     assert_eq!(robot.command(Command::Enable), Err(Refusal::NotConfigured));
-    let mut flat = Config::default();
-    flat.geometry = Geometry::Delta(DeltaGeometry {
-        arm_azimuths_deg: [0.0, 0.0, 240.0],
-        ..DeltaGeometry::default()
-    });
+    let flat = Config {
+        geometry: Geometry::Delta(DeltaGeometry {
+            arm_azimuths_deg: [0.0, 0.0, 240.0],
+            ..DeltaGeometry::default()
+        }),
+        ..Config::default()
+    };
     robot.configure(&flat);
     assert!(
         matches!(robot.configured[1], Err(ConfigRefusal::Geometry(_))),

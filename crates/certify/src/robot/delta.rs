@@ -99,7 +99,7 @@ impl Delta {
             slope,
             link: [out * c - across * s, out * s + across * c, along],
             lever: d.value() * upper,
-            constraint: Constraint::Rod {
+            constraint: Constraint::Link {
                 tow: [-(upper * sine * c), -(upper * sine * s), -(upper * cosine)],
                 sway: upper * (along * sine - out * cosine),
                 level: false,

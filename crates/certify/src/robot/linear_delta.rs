@@ -71,7 +71,7 @@ impl LinearDelta {
             slope: slope.times(rad_per_mm),
             link: [x.value(), y.value(), -height.value()],
             lever: -(height.value() * mm_per_rad),
-            constraint: Constraint::Rod {
+            constraint: Constraint::Link {
                 tow: [Interval::ZERO, Interval::ZERO, mm_per_rad],
                 sway: Interval::ZERO,
                 level: false,

@@ -86,7 +86,7 @@ impl Place {
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Constraint {
     /// A link of constant length.
-    Rod {
+    Link {
         /// Derivative of the link's other end by the angle, mm.
         tow: [Interval; 3],
         /// Product of the link with the second derivative of its other end by the angle, mm2.
@@ -102,7 +102,7 @@ impl Joint {
     /// What the speeds add to `link . p''` in the joint's acceleration times its lever, mm2/s2. `speed` is the joint's,
     /// rad/s.
     pub(crate) fn pull(&self, velocity: &[Interval; 3], speed: Interval) -> Interval {
-        let Constraint::Rod { tow, sway, level } = self.constraint else {
+        let Constraint::Link { tow, sway, level } = self.constraint else {
             return Interval::ZERO;
         };
         let [x, y, z] = [0, 1, 2].map(|place| velocity[place] - tow[place] * speed);

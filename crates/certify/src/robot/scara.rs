@@ -83,7 +83,7 @@ impl Scara {
             slope: shoulder_slope,
             link: [outer_x.value(), outer_y.value(), Interval::ZERO],
             lever: lever.value(),
-            constraint: Constraint::Rod {
+            constraint: Constraint::Link {
                 tow: [-(inner * s), inner * c, Interval::ZERO],
                 sway: -(product * cosine.value()),
                 level: true,
@@ -97,7 +97,7 @@ impl Scara {
             slope: elbow_slope,
             link: [x.value(), y.value(), Interval::ZERO],
             lever: -lever.value(),
-            constraint: Constraint::Rod {
+            constraint: Constraint::Link {
                 tow: [Interval::ZERO; 3],
                 sway: -(product * cosine.value()),
                 level: true,

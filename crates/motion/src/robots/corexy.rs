@@ -153,6 +153,7 @@ impl CoreXy {
     }
 
     /// Angles of belts and z without checks, rad.
+    #[inline(never)]
     pub(super) fn angles(&self, [x, y, z]: &Vector) -> [f64; MAIN_AXES] {
         [
             (x + y) * self.belt.rad_per_mm,
@@ -162,6 +163,7 @@ impl CoreXy {
     }
 
     /// Derivatives of the angles along a path with the unit tangent `tangent` and the curvature vector `bend` (1/mm).
+    #[inline(never)]
     pub(super) fn rows(&self, tangent: &Vector, bend: &Vector) -> JointRows {
         JointRows {
             slope: self.angles(tangent),
@@ -170,6 +172,7 @@ impl CoreXy {
     }
 
     /// Whether every joint is in its range.
+    #[inline(never)]
     pub(super) fn clears(&self, point: &Vector, ranges: &JointRanges) -> bool {
         self.angles(point)
             .iter()

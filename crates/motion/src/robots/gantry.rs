@@ -150,12 +150,14 @@ impl Gantry {
     }
 
     /// Axis angles without checks, rad.
+    #[inline(never)]
     pub(super) fn angles(&self, point: &Vector) -> [f64; MAIN_AXES] {
         let ([x, y, z], [of_x, of_y, of_z]) = (point, &self.axes);
         [x * of_x.rad_per_mm, y * of_y.rad_per_mm, z * of_z.rad_per_mm]
     }
 
     /// Derivatives of the angles along a path with the unit tangent `tangent` and the curvature vector `bend` (1/mm).
+    #[inline(never)]
     pub(super) fn rows(&self, tangent: &Vector, bend: &Vector) -> JointRows {
         JointRows {
             slope: self.angles(tangent),
@@ -164,6 +166,7 @@ impl Gantry {
     }
 
     /// Whether every axis is in its range.
+    #[inline(never)]
     pub(super) fn clears(&self, point: &Vector, ranges: &JointRanges) -> bool {
         self.angles(point)
             .iter()

@@ -260,6 +260,7 @@ impl LinearDelta {
     }
 
     /// Carriage angles without checks, rad, for admitted points; the nearest real pose if there is no solution.
+    #[inline(never)]
     pub(super) fn angles(&self, point: &Vector) -> [f64; TOWERS] {
         self.towers.map(|tower| {
             let (_, height_squared) = self.rod(tower, point);
@@ -271,6 +272,7 @@ impl LinearDelta {
     /// curvature vector `bend` (1/mm). Finite wherever [`LinearDelta::inverse`] has a solution.
     ///
     /// q' = z' - d.p' / H and q'' = z'' - (d.p'' + |p'|^2) / H - (d.p')^2 / H^3, with p in the horizontal plane.
+    #[inline(never)]
     pub(super) fn rows(&self, point: &Vector, tangent: &Vector, bend: &Vector) -> JointRows {
         let mut rows = JointRows::default();
         let level_squared = tangent[0] * tangent[0] + tangent[1] * tangent[1];
@@ -322,6 +324,7 @@ impl LinearDelta {
     }
 
     /// Whether every carriage is in its range and the singularities are at least [`CONDITIONING_MIN`] away.
+    #[inline(never)]
     pub(super) fn clears(&self, point: &Vector, ranges: &JointRanges) -> bool {
         let ConditioningMin { ratio, determinant } = CONDITIONING_MIN;
         let low_squared = ratio * ratio * self.rod_mm * self.rod_mm;

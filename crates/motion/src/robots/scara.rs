@@ -298,6 +298,7 @@ impl Scara {
     }
 
     /// Joint angles without checks, rad, for admitted points; the nearest real pose if there is no solution.
+    #[inline(never)]
     pub(super) fn angles(&self, point: &Vector) -> [f64; MAIN_AXES] {
         let [_, _, z] = *point;
         self.solve(&self.link_pose(point), z)
@@ -308,6 +309,7 @@ impl Scara {
     ///
     /// With the links' directions u1, u2, their angular velocities are w1 = u2.p' / (l1 S) and w2 = -u1.p' / (l2 S),
     /// S = sin of the elbow. For the second derivative, p'' + l1 u1 w1^2 + l2 u2 w2^2 stands in place of p'.
+    #[inline(never)]
     pub(super) fn rows(&self, point: &Vector, tangent: &Vector, bend: &Vector) -> JointRows {
         let LinkPose {
             shoulder: [cosine, sine],
@@ -366,6 +368,7 @@ impl Scara {
     }
 
     /// Whether every joint is in its range and the elbow's sine is at least that of [`CONDITIONING_MIN`].
+    #[inline(never)]
     pub(super) fn clears(&self, point: &Vector, ranges: &JointRanges) -> bool {
         let pose = self.link_pose(point);
         let [shoulder, elbow, _] = &ranges.turned;

@@ -122,8 +122,13 @@ impl Paper {
         } else {
             [0.5 * (x_low + x_high), 0.5 * (y_low + y_high)]
         };
-        let ring = 0.5 * (volume.radius_mm - volume.inner_radius_mm);
-        let of = |width: f64| (0.5 * width).min(ring).min(200.0);
+        // In a ring half of its width; in a cylinder less than the square that touches it from inside.
+        let round = if volume.inner_radius_mm > 0.0 {
+            0.5 * (volume.radius_mm - volume.inner_radius_mm)
+        } else {
+            1.2 * volume.radius_mm
+        };
+        let of = |width: f64| (0.7 * width).min(round).min(200.0);
         Self {
             centre_mm: middle,
             size_mm: [of(x_high - x_low), of(y_high - y_low)],
