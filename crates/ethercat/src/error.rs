@@ -263,6 +263,8 @@ pub enum BusError {
         /// Sync managers found.
         actual: u8,
     },
+    /// A file of the slave is being transferred in BOOT.
+    FileOpen,
 }
 
 impl BusError {

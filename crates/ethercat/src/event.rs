@@ -167,6 +167,8 @@ pub enum Step {
     Clocks,
     /// Another slave changed during a bring-up or a repair.
     Watch,
+    /// Leaving BOOT.
+    Bootstrap,
 }
 
 /// Event from the supervisor.

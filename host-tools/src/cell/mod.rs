@@ -253,6 +253,12 @@ impl Cell {
         self.segment.outputs(slave)
     }
 
+    /// A file that was written to a slave, from 1; `None` if there is no such file, or the slave has no files.
+    #[must_use]
+    pub fn file(&self, slave: usize, name: &str) -> Option<&[u8]> {
+        self.segment.file(slave, name)
+    }
+
     /// The motors and the pen at present.
     #[must_use]
     pub fn truth(&self) -> Truth {

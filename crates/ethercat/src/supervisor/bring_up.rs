@@ -252,6 +252,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
 
     /// Takes a slave from any state through INIT to PREOP with its mailbox set up, if it has one.
     pub(super) async fn reach_pre_operational(&mut self, number: usize) -> Result<(), Failure> {
+        if self.file.is_some_and(|file| file.number == number) {
+            self.forget_file();
+        }
         if self
             .slaves
             .get(number)
@@ -451,9 +454,12 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     }
 
     /// Takes all slaves in use out of OP: safe outputs, then SAFEOP, PREOP and INIT. A slave that does not follow is
-    /// left to its watchdog.
+    /// left to its watchdog; one whose file is being transferred stays in BOOT.
     pub(super) async fn shut_down(&mut self) {
-        self.forget_file();
+        let transferring = self.transferring().await;
+        if transferring.is_none() {
+            self.forget_file();
+        }
         self.send_safe_plan().await;
         self.port.wait_ms(SAFE_OUTPUTS_MS).await;
         for target in [AlState::SafeOperational, AlState::PreOperational, AlState::Init] {
@@ -462,7 +468,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                     continue;
                 };
                 let above = slave.report.state().is_some_and(|state| state as u8 > target as u8);
-                if !slave.is_used() || slave.condition == Condition::Lost || !above {
+                let is_left = transferring == Some(number);
+                if !slave.is_used() || slave.condition == Condition::Lost || !above || is_left {
                     continue;
                 }
                 if state::change(&mut self.port, slave.station(), target).await.is_ok() {

@@ -30,7 +30,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         seen: Option<Observation>,
         running: bool,
     ) -> ServiceResult {
-        if !running {
+        // A slave that is plugged in does not end a transfer.
+        if !running && self.transferring().await.is_none() {
             self.know_all().await?;
         }
         let number = usize::from(request.slave().unwrap_or(0));
@@ -57,8 +58,16 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 }
                 opened
             }
-            ServiceRequest::ReadFile { .. } => self.read_file(number).await,
-            ServiceRequest::WriteFile { piece, last, .. } => self.write_file(number, piece, *last).await,
+            ServiceRequest::ReadFile { .. } => {
+                let piece = self.read_file(number).await;
+                self.use_file();
+                piece
+            }
+            ServiceRequest::WriteFile { piece, last, .. } => {
+                let written = self.write_file(number, piece, *last).await;
+                self.use_file();
+                written
+            }
             ServiceRequest::CloseFile { .. } => {
                 self.close_file().await?;
                 Ok(ServiceReply::Done)
