@@ -201,6 +201,10 @@ pub fn bus_error(error: &BusError) -> String {
             u16::from(second) + 1
         ),
         BusError::FileOpen => "one of its files is being transferred in BOOT; wait until the transfer has ended".into(),
+        BusError::PositionRange { expected, actual } => format!(
+            "the drive's positions repeat after {actual} (607B), which is not a whole number of motor turns of {expected} \
+             increments; set 607B of the drive, or increments_per_revolution"
+        ),
         BusError::SyncManagers { expected, actual } => {
             format!("the slave's process data are in {actual} sync managers, more than {expected}; assign less")
         }
