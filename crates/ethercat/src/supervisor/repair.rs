@@ -125,6 +125,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             }
             match same {
                 Ok(()) if is_known || (is_elsewhere && has_serial_of(&slave, &fixed.identity)) => {
+                    self.confirm_mark(*place, places).await.map_err(at(Step::Identify))?;
                     self.clocks.was_off(number);
                     return self.name(slave.station()).await.map_err(at(Step::Address));
                 }
@@ -217,7 +218,23 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     /// returned since the places were read shifts them. Then another slave has got the address, and gets back the one
     /// that it had.
     pub(super) async fn mark(&mut self, place: u16, places: &Places) -> Result<(), BusError> {
-        let there = match discovery::assign_station(&mut self.port, place, STATION_TEMPORARY).await {
+        let assigned = discovery::assign_station(&mut self.port, place, STATION_TEMPORARY).await;
+        self.look_for_mark(place, places, assigned).await
+    }
+
+    /// Looks whether the slave with the temporary address is still where it was marked, before it gets another one: with
+    /// power, it keeps the mark when its cables are put elsewhere. Takes the mark back if not.
+    pub(super) async fn confirm_mark(&mut self, place: u16, places: &Places) -> Result<(), BusError> {
+        self.look_for_mark(place, places, Ok(())).await
+    }
+
+    async fn look_for_mark(
+        &mut self,
+        place: u16,
+        places: &Places,
+        assigned: Result<(), BusError>,
+    ) -> Result<(), BusError> {
+        let there = match assigned {
             Ok(()) => self.settled_places().await,
             Err(error) => Err(error),
         };
@@ -228,16 +245,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         };
         self.name(station).await?;
         let there = there?;
-        Err(match there.get(usize::from(place)) {
-            Some(station) if there.len() == places.len() => BusError::Station {
-                expected: STATION_TEMPORARY,
-                actual: *station,
-            },
-            _ => BusError::SlaveCount {
-                expected: places.len() as u16,
-                actual: there.len() as u16,
-            },
-        })
+        Err(other_chain(place, places, &there))
     }
 
     /// The address that the slave with the temporary one had before slaves returned in front of it; 0 if it had none, or
@@ -350,14 +358,37 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     }
 }
 
-/// Whether the slave at a place, and no other, has got the temporary address, and all others are where they were. One
-/// that was exchanged meanwhile has lost its address.
+/// Whether the slave at a place, and no other, has got the temporary address, and all others are where they were. Where
+/// one has lost its address meanwhile, slaves may have changed places, and the order tells nothing.
 fn is_marked(place: u16, places: &Places, there: &Places) -> bool {
     let is_as_before = |(number, (before, now)): (usize, (&u16, &u16))| match number == usize::from(place) {
         true => *now == STATION_TEMPORARY,
-        false => now == before || *now == 0,
+        false => now == before,
     };
     places.len() == there.len() && places.iter().zip(there).enumerate().all(is_as_before)
+}
+
+/// How a chain in which a mark was not found as it was set differs from the one before.
+fn other_chain(place: u16, places: &Places, there: &Places) -> BusError {
+    if there.len() != places.len() {
+        return BusError::SlaveCount {
+            expected: places.len() as u16,
+            actual: there.len() as u16,
+        };
+    }
+    let actual = there.get(usize::from(place)).copied().unwrap_or(0);
+    let mut others = places.iter().zip(there).enumerate();
+    let other = others.find(|(number, (before, now))| *number != usize::from(place) && before != now);
+    match other.filter(|_| actual == STATION_TEMPORARY) {
+        Some((_, (expected, actual))) => BusError::Station {
+            expected: *expected,
+            actual: *actual,
+        },
+        None => BusError::Station {
+            expected: STATION_TEMPORARY,
+            actual,
+        },
+    }
 }
 
 /// Whether an identity has a slave's own serial number.
