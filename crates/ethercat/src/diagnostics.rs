@@ -186,7 +186,9 @@ impl ServiceRequest {
         }
     }
 
-    /// Whether the request changes anything on a slave.
+    /// Whether the request may change a slave's state, objects, files or counters, or belongs to a transfer that does: it is
+    /// carried out only where the application allows a change, and is not repeated after an interruption. Requests for the
+    /// pieces of a file that is read count too. Other requests may still bring a slave in INIT to PREOP, to use its mailbox.
     pub const fn changes(&self) -> bool {
         let writes = matches!(self, Self::SetState { .. } | Self::Download { .. } | Self::ClearErrors);
         writes || self.is_about_files()
