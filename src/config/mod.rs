@@ -8,6 +8,7 @@ mod axis;
 mod bounds;
 mod bus;
 mod io;
+mod terminal;
 
 pub use axis::{Axis, AxisMode};
 pub use bounds::{ConfigError, Field, QUICK_STOP_MAX_MS};
@@ -16,6 +17,7 @@ pub use etherpen_motion::settings::{Geometry, MotionLimits, Orientation, Paper, 
 pub use io::{
     IO_MAX, IO_NAME_MAX, IoDirection, IoError, IoName, IoPoint, IoPoints, IoRole, IoType, ObjectName, OnFault,
 };
+pub use terminal::{TERMINALS_MAX, Terminal, Terminals};
 
 use crate::ethercat::clock::Settling;
 use crate::ethercat::event::WantedValue;
@@ -45,6 +47,8 @@ pub struct Config {
     pub bus: Bus,
     /// Named inputs and outputs of terminals.
     pub io: IoPoints,
+    /// Terminals whose identity is compared.
+    pub terminals: Terminals,
 }
 
 /// Joint angle at the synchronisation marks of the default configuration, radians: there the platform is in the
@@ -72,12 +76,13 @@ impl Default for Config {
             axes: [main, main, main, fourth],
             bus: Bus::default(),
             io: IoPoints::new(),
+            terminals: Terminals::new(),
         }
     }
 }
 
 /// Longest encoded configuration, bytes.
-pub const CONFIG_BYTES_MAX: usize = 1592;
+pub const CONFIG_BYTES_MAX: usize = 1840;
 
 impl Config {
     /// Settings of motion.
@@ -97,8 +102,9 @@ impl Config {
     pub fn bus_setup(&self) -> RobotBusSetup {
         RobotBusSetup {
             members: self.bus.drives,
-            terminals: self.terminals(),
+            terminals: self.terminal_places(),
             values: self.wanted_values(),
+            identities: self.terminals.iter().map(Terminal::place_identity).collect(),
             chosen: &[],
             settings: self.axes.each_ref().map(Axis::drive),
             exchange: self.bus.exchange,
@@ -113,12 +119,13 @@ impl Config {
         }
     }
 
-    /// Checks the named inputs and outputs.
+    /// Checks the named inputs and outputs, and the terminals.
     ///
     /// # Errors
     /// The first [`IoError`].
     pub fn check_io(&self) -> Result<(), IoError> {
-        io::check(&self.io)
+        io::check(&self.io)?;
+        terminal::check(self)
     }
 
     /// The values of all points, in their order.
@@ -148,6 +155,7 @@ impl Config {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::robot_bus::BUS_SLAVES_MAX;
     use core::net::Ipv4Addr;
 
     #[test]
@@ -244,8 +252,27 @@ mod tests {
     }
 
     #[test]
-    fn a_configuration_with_as_many_points_as_possible_fits_a_message() {
+    fn a_configuration_with_as_many_points_and_terminals_as_possible_fits_a_message() {
         let mut config = Config::default();
+        for number in 0..TERMINALS_MAX as u8 {
+            let terminal = Terminal {
+                slave: BUS_SLAVES_MAX as u8 - 1 - number,
+                alias: u16::MAX - 4 - u16::from(number),
+                switch: u16::MAX,
+                serial: u32::MAX,
+                vendor: u32::MAX,
+                product: u32::MAX,
+                revision: u32::MAX,
+            };
+            assert_eq!(config.terminals.push(terminal), Ok(()));
+        }
+        for (number, axis) in (0_u16..).zip(&mut config.axes) {
+            (axis.vendor, axis.product, axis.revision) = (u32::MAX, u32::MAX, u32::MAX);
+            (axis.alias, axis.switch, axis.serial) = (u16::MAX - number, u16::MAX, u32::MAX);
+        }
+        config.bus.settle_difference_ns = 100_000;
+        config.bus.host_silence_ms = 10_000;
+        while config.bus.name.push('n').is_ok() {}
         for number in 0..IO_MAX {
             let mut name = IoName::new();
             while name.push(char::from(b'a' + number as u8)).is_ok() {}
@@ -275,6 +302,7 @@ mod tests {
         std::println!("{bytes} of {CONFIG_BYTES_MAX} bytes");
         assert!(config.hash().is_some());
         assert!(config.io.push(IoPoint::default()).is_err());
+        assert!(config.terminals.push(Terminal::default()).is_err());
     }
 
     #[test]

@@ -59,8 +59,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             // A member may be missing because it could not be read.
             return Err(unread.unwrap_or(Failure::bus(Step::Identify)(error)));
         }
-        self.check_members().await?;
         self.choose_terminals();
+        self.check_members().await?;
         self.choose_exchange().await?;
         self.introduce_all().await;
         self.send_plan().await;
@@ -212,6 +212,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         self.generation = self.generation.wrapping_add(1);
         slave.generation = self.generation;
         slave.emergency = None;
+        self.check_terminal(number)?;
         let result = match self.reach_pre_operational(number).await {
             Ok(()) => self.configure(number).await,
             failed => failed,

@@ -9,6 +9,7 @@
 
 use super::super::clock;
 use super::super::configure::discovery::{STATION_BASE, STATION_TEMPORARY};
+use super::super::configure::identification::KnownIdentity;
 use super::super::configure::{discovery, information};
 use super::super::driver::SlaveFactory;
 use super::super::error::{BusError, IdentityProperty};
@@ -119,14 +120,15 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             let is_its_place = by_order.is_none_or(|wanted| wanted == rank);
             let is_known = is_its_place && (by_order.is_some() || self.is_only_one(&slave, &missing));
             let fixed = self.identify(*place, places).await.map_err(at(Step::Identify))?;
-            let mut same = self.is_same(&slave, &fixed.identity);
+            let mut same = self.is_same(&slave, &fixed.identity).map(|()| slave.known);
             if same.is_ok() && is_its_place {
                 same = self.check_returned(number, STATION_TEMPORARY, fixed.identity).await;
             }
             match same {
-                Ok(()) if is_known || (is_elsewhere && has_serial_of(&slave, &fixed.identity)) => {
+                Ok(known) if is_known || (is_elsewhere && has_serial_of(&slave, &fixed.identity)) => {
                     self.confirm_mark(*place, places).await.map_err(at(Step::Identify))?;
                     self.clocks.was_off(number);
+                    self.take_place(number, fixed, known);
                     return self.name(slave.station()).await.map_err(at(Step::Address));
                 }
                 Err(error) if is_its_place => other = Some(error),
@@ -140,6 +142,16 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 expected: self.slaves.len() as u16,
                 actual: places.len() as u16,
             })),
+        }
+    }
+
+    /// Notes the slave that has taken the place of one that was not wanted there.
+    fn take_place(&mut self, number: usize, fixed: FixedPart, known: KnownIdentity) {
+        if let Some(slave) = self.slaves.get_mut(number) {
+            slave.known = known;
+            if slave.fixed.identity != fixed.identity {
+                (slave.fixed, slave.device) = (fixed, F::by_identity(&fixed.identity));
+            }
         }
     }
 
@@ -274,7 +286,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     /// Whether a slave with this identity may take a slave's place.
     pub(super) fn is_same(&self, slave: &Slave<F>, identity: &Identity) -> Result<(), BusError> {
         let (old, new) = (slave.identity(), identity);
-        if (old.vendor, old.product) != (new.vendor, new.product) {
+        if (old.vendor, old.product) != (new.vendor, new.product) && !self.is_unwanted(slave) {
             return Err(BusError::Identity {
                 expected: old.product,
                 actual: new.product,
