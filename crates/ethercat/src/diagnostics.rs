@@ -273,9 +273,10 @@ pub struct SlaveInfo {
     pub mailbox_in: MailboxWindow,
     /// Mailbox protocols, see [`sii`](super::wire::sii).
     pub protocols: u16,
-    /// Bytes of cyclic outputs.
+    /// Bytes of cyclic outputs: those that are exchanged, or would be in SAFEOP as the slave describes them. 0 for a slave
+    /// with a driver that has not chosen them yet.
     pub output_bytes: u16,
-    /// Bytes of cyclic inputs.
+    /// Bytes of cyclic inputs, likewise.
     pub input_bytes: u16,
     /// The ports, 0 to 3.
     pub ports: [PortInfo; PORTS],

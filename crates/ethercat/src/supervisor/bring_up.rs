@@ -307,7 +307,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             true => self.setup.watchdog_ms,
             false => UNUSED_WATCHDOG_MS,
         };
-        if slave.is_terminal {
+        if slave.has_own_data() {
             self.find_own_data(number).await.map_err(at(Step::Objects))?;
         } else if let Some(device) = slave.device {
             let mut there = PreOperational::new(port, station, &mut slave.mailbox);
@@ -340,7 +340,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             .await
     }
 
-    /// Finds the process data of a terminal, and the values in them that the application wants.
+    /// Finds the process data of a slave that exchanges its own, and the values in them that the application wants.
     async fn find_own_data(&mut self, number: usize) -> Result<(), BusError> {
         let Self {
             port,

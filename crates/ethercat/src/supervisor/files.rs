@@ -216,7 +216,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         if slave.is_used() {
             slave.condition = Condition::Parked;
         } else {
-            slave.process_data = None;
+            (slave.process_data, slave.own_data) = (None, None);
         }
         information::take(port, station).await;
         let mut words = [0; BOOTSTRAP_LEN];
