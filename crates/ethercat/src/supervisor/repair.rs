@@ -2,7 +2,8 @@
 //!
 //! A slave may have kept its address and only left OP. Or it was switched off and is in INIT without an address: at its
 //! old place, or at another place if a slave was plugged in or is still missing before it. The order of the slaves that
-//! kept their addresses shows between which of them it belongs.
+//! kept their addresses shows between which of them it belongs. Or it returned at another's place, was taken for an extra
+//! slave there, and was put back with power: its serial number shows that.
 //!
 //! Invariant: a slave is only taken back at its place in the order, with the expected product, and with a serial number
 //! that does not belong to another slave of this bus.
@@ -14,11 +15,12 @@ use super::super::configure::{discovery, information};
 use super::super::driver::SlaveFactory;
 use super::super::error::{BusError, IdentityProperty};
 use super::super::event::Step;
-use super::super::slave::Slave;
-use super::super::state::{self, AlState};
+use super::super::slave::{Condition, Slave};
+use super::super::state::{self, AlReport, AlState};
 use super::super::wire::sii::{FixedPart, Identity};
 use super::Failure;
 use super::bus::Bus;
+use core::ops::Range;
 use heapless::Vec;
 
 /// Most places of a chain that are searched.
@@ -110,6 +112,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return Ok(());
         };
         let at = |step| Failure::of(slave.position, step);
+        if let Some(extra) = self.extra_with_serial_of(number, places) {
+            return self.take_back_extra(number, extra).await.map_err(at(Step::Identify));
+        }
         let strangers = self.strangers_between(number, places);
         let missing = self.missing_between(number, places);
         // With all of them there, each has to be at its place.
@@ -143,6 +148,39 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 actual: places.len() as u16,
             })),
         }
+    }
+
+    /// The extra slave between a lost one's neighbours that has its serial number: it returned at another place, where it
+    /// got a number of its own, and was then put back with power.
+    fn extra_with_serial_of(&self, number: usize, places: &Places) -> Option<usize> {
+        let lost = self.slaves.get(number)?;
+        let between = places.get(self.between(number, places))?;
+        let is_the_lost_one = |extra: &Slave<F>| {
+            let (extra, lost) = (extra.identity(), lost.identity());
+            (extra.vendor, extra.product) == (lost.vendor, lost.product)
+        };
+        let mut extras = (0..).zip(&self.slaves).skip(self.ordered.max(number + 1));
+        let extra = extras.find(|(_, extra)| {
+            let is_it = !extra.is_used() && has_serial_of(lost, &extra.identity()) && is_the_lost_one(extra);
+            is_it && between.contains(&extra.station())
+        });
+        extra.map(|(extra, _)| extra)
+    }
+
+    /// Gives an extra slave the address of the lost one that it is.
+    async fn take_back_extra(&mut self, number: usize, extra: usize) -> Result<(), BusError> {
+        let (Some(lost), Some(found)) = (self.slaves.get(number).copied(), self.slaves.get(extra).copied()) else {
+            return Ok(());
+        };
+        let known = self.check_returned(number, found.station(), found.identity()).await?;
+        discovery::rename(&mut self.port, found.station(), lost.station()).await?;
+        self.clocks.was_off(number);
+        self.take_place(number, found.fixed, known);
+        if let Some(extra) = self.slaves.get_mut(extra) {
+            (extra.condition, extra.report) = (Condition::Lost, AlReport::default());
+        }
+        self.introduce(extra).await;
+        Ok(())
     }
 
     /// Notes the slave that has taken the place of one that was not wanted there.
@@ -181,8 +219,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         self.number_of(station).filter(|number| *number < self.ordered)
     }
 
-    /// Places of slaves without an address of this bus, between a slave's neighbours; anywhere for an extra slave.
-    pub(super) fn strangers_between(&self, number: usize, places: &Places) -> Vec<u16, PLACES_MAX> {
+    /// The places between a slave's neighbours; all for an extra slave.
+    fn between(&self, number: usize, places: &Places) -> Range<usize> {
         let (mut first, mut last) = (0, places.len());
         if number < self.ordered {
             let rank = |station: &u16| self.rank_of(*station);
@@ -193,9 +231,15 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 .iter()
                 .position(|there| rank(there).is_some_and(|there| there > number));
             first = before.map_or(first, |place| place + 1);
-            last = after.unwrap_or(last);
+            last = after.unwrap_or(last).max(first);
         }
-        let between = (0_u16..).zip(places).take(last).skip(first);
+        first..last
+    }
+
+    /// Places of slaves without an address of this bus, between a slave's neighbours; anywhere for an extra slave.
+    pub(super) fn strangers_between(&self, number: usize, places: &Places) -> Vec<u16, PLACES_MAX> {
+        let between = self.between(number, places);
+        let between = (0_u16..).zip(places).take(between.end).skip(between.start);
         between
             .filter(|(_, there)| self.number_of(**there).is_none())
             .map(|(place, _)| place)
