@@ -1,10 +1,12 @@
-//! A firmware that panics in motion: one last telegram stops the drives, then silence; the cause is reported, and the
-//! black box holds the last two seconds as they were on the wire, and they replay.
+//! A firmware that panics in motion: one last telegram stops the drives and switches the outputs of terminals off, then
+//! silence; the cause is reported, and the black box holds the last two seconds as they were on the wire, and they replay.
 
 use etherpen::application::Mode;
 use etherpen::black_box::recording::{Origin, Recording};
 use etherpen::black_box::{Direction, Event, SAMPLES};
-use etherpen::config::Config;
+use etherpen::config::{Config, IoDirection, IoPoint};
+use etherpen::link::frame::{FRAME_BYTES_MAX, encode};
+use etherpen::messages::{Command, HostMessage};
 use host_tools::black_box::contents::Contents;
 use host_tools::black_box::replay::replay;
 use host_tools::cell::{AlState, Cell, CellOptions, DriveState};
@@ -27,12 +29,43 @@ const FRAMES_MS: u32 = 20;
 /// Most frames between the recorder's last run and the end: those of a millisecond, and the last telegram with its reply.
 const FRAMES_AFTER_MAX: usize = 6;
 
-/// The drawing job at the link, for as long as there is a firmware.
+/// Place of the terminal with the lamp, from 0: behind the drives.
+const TERMINAL: u8 = 4;
+
+/// Time between two commands that set the output: the first ones come before the bus is brought up.
+const SET_EACH_MS: u32 = 100;
+/// First number of these commands, far from the job's own.
+const FIRST_BESIDE: u16 = 0x8000;
+
+/// A robot with an output that is off at a fault.
+fn config() -> Config {
+    let mut config = Config::default();
+    let valve = IoPoint {
+        name: "valve".try_into().expect("a short name"),
+        slave: TERMINAL,
+        direction: IoDirection::Out,
+        bit: Some(0),
+        ..IoPoint::default()
+    };
+    config.io.push(valve).expect("there is room");
+    config
+}
+
+/// The drawing job at the link, for as long as there is a firmware, and commands that switch the output on.
 struct Host(Job);
 
 impl Link for Host {
     fn exchange(&mut self, ms: u32, from_device: &[u8], to_device: &mut Vec<u8>) {
         self.0.step(u64::from(ms), from_device, to_device, LINK_BYTES_MAX);
+        if ms.is_multiple_of(SET_EACH_MS) {
+            let message = HostMessage::Command {
+                id: FIRST_BESIDE | (ms / SET_EACH_MS) as u16,
+                command: Command::SetOutput { io: 0, value: 1 },
+            };
+            let mut frame = [0; FRAME_BYTES_MAX];
+            let length = encode(&message, &mut frame).expect("a command fits a frame");
+            to_device.extend_from_slice(&frame[..length]);
+        }
     }
 }
 
@@ -41,6 +74,8 @@ struct Watched {
     cell: Cell,
     last_frame_us: u64,
     frames: u32,
+    /// Outputs of the terminal before the last frame.
+    outputs_before: Option<Vec<u8>>,
     /// The frames as they were on the wire, with their direction.
     wire: Vec<(Direction, Vec<u8>)>,
 }
@@ -49,6 +84,7 @@ impl Segment for Watched {
     fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
         self.last_frame_us = time_us;
         self.frames += 1;
+        self.outputs_before = self.cell.outputs(usize::from(TERMINAL) + 1);
         self.wire.push((Direction::Sent, frame.to_vec()));
         let replies = self.cell.frame(time_us, frame);
         self.wire
@@ -62,9 +98,9 @@ impl Segment for Watched {
 }
 
 #[test]
-fn a_panic_in_motion_stops_the_drives_by_one_last_telegram_and_names_its_cause() {
+fn a_panic_in_motion_stops_the_drives_and_switches_outputs_off_by_one_last_telegram_and_names_its_cause() {
     let image = setup::build_variant("emulated", &["panic-while-drawing"]).expect("the firmware builds");
-    let config = Config::default();
+    let config = config();
     let file = setup::workspace().join("samples/strokes.csv");
     let prepared = prepare(&file, &config).unwrap_or_else(|error| panic!("{}", error.message));
     let path: Vec<_> = prepared.path.iter().map(to_wire).collect();
@@ -73,6 +109,7 @@ fn a_panic_in_motion_stops_the_drives_by_one_last_telegram_and_names_its_cause()
         cell: Cell::new(&config, CellOptions::default()),
         last_frame_us: 0,
         frames: 0,
+        outputs_before: None,
         wire: Vec::new(),
     }));
     let emulator = Emulator::start(
@@ -108,6 +145,8 @@ fn a_panic_in_motion_stops_the_drives_by_one_last_telegram_and_names_its_cause()
     let (last_us, frames) = (watched.last_frame_us, watched.frames);
     let moving_rad_s = speed_rad_s(&watched.cell);
     watched.cell.advance_to(last_us + ACTS_WITHIN_US);
+    assert_eq!(watched.outputs_before, Some(vec![1]), "the output was on");
+    assert_eq!(watched.cell.outputs(usize::from(TERMINAL) + 1), Some(vec![0]));
     for slave in watched.cell.state().slaves {
         assert_ne!(slave.drive, DriveState::OperationEnabled, "{slave:?}");
         assert_eq!(slave.al_state, AlState::Operational, "it was not the watchdog");
@@ -148,7 +187,7 @@ fn check_black_box(image: &[u8], wire: &[(Direction, Vec<u8>)]) {
         .find(|end| wire.get(..*end).is_some_and(|wire| wire.ends_with(&recorded)));
     assert!(end.is_some(), "the frames are those of the wire");
     let contents = Contents::of(image).expect("a recording");
-    let replayed = replay(&contents, &Config::default()).expect("two seconds of a drawing");
+    let replayed = replay(&contents, &config()).expect("two seconds of a drawing");
     println!("{} ms replayed", replayed.agreed_ms);
     assert_eq!((replayed.difference, replayed.not_recorded), (None, None));
     assert!(replayed.agreed_ms as usize > SAMPLES / 2);

@@ -263,7 +263,7 @@ pub struct IoPoint {
 /// All named points, in the order of the file.
 pub type IoPoints = Vec<IoPoint, IO_MAX>;
 
-/// Why a point cannot be used; points count from 0.
+/// Why a point or a terminal cannot be used; points count from 0.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum IoError {
     /// The name is empty or has other characters than letters, digits, `_` and `-`.
@@ -319,6 +319,36 @@ pub enum IoError {
         first: u8,
         /// The second.
         second: u8,
+    },
+    /// The place of a terminal is beyond the longest chain; terminals count from 0.
+    TerminalSlave {
+        /// The terminal.
+        terminal: u8,
+        /// Last place that is possible.
+        expected: u8,
+        /// The place given.
+        actual: u8,
+    },
+    /// Two terminals have one place.
+    SameTerminal {
+        /// The first.
+        first: u8,
+        /// The second.
+        second: u8,
+    },
+    /// Two terminals expect the same device.
+    SameDevice {
+        /// The first.
+        first: u8,
+        /// The second.
+        second: u8,
+    },
+    /// A terminal expects the device that an axis expects as its drive.
+    DeviceOfAxis {
+        /// The terminal.
+        terminal: u8,
+        /// The axis.
+        axis: u8,
     },
 }
 
@@ -386,10 +416,12 @@ pub(super) fn check(points: &IoPoints) -> Result<(), IoError> {
 }
 
 impl Config {
-    /// Places of the terminals that the named points need.
+    /// Places of the terminals: those that the named points need, and those that are listed.
     #[must_use]
-    pub fn terminals(&self) -> SlaveSet {
-        self.io.iter().map(|point| usize::from(point.slave)).collect()
+    pub fn terminal_places(&self) -> SlaveSet {
+        let needed = self.io.iter().map(|point| point.slave);
+        let listed = self.terminals.iter().map(|terminal| terminal.slave);
+        needed.chain(listed).map(usize::from).collect()
     }
 }
 

@@ -9,6 +9,7 @@ mod bounds;
 mod bus;
 mod io;
 mod pen_lift;
+mod terminal;
 
 pub use axis::{Axis, AxisMode, HomeSwitch};
 pub use bounds::{ConfigError, Field, QUICK_STOP_MAX_MS};
@@ -17,6 +18,7 @@ pub use etherpen_motion::settings::{Geometry, MotionLimits, Orientation, Paper, 
 pub use io::{
     IO_MAX, IO_NAME_MAX, IoDirection, IoError, IoName, IoPoint, IoPoints, IoRole, IoType, ObjectName, OnFault,
 };
+pub use terminal::{TERMINALS_MAX, Terminal, Terminals};
 
 pub use pen_lift::{PenLift, PenLiftKind};
 
@@ -50,6 +52,8 @@ pub struct Config {
     pub bus: Bus,
     /// Named inputs and outputs of terminals.
     pub io: IoPoints,
+    /// Terminals whose identity is compared.
+    pub terminals: Terminals,
 }
 
 /// Joint angle at the synchronisation marks of the default configuration, radians: there the platform is in the
@@ -78,12 +82,13 @@ impl Default for Config {
             axes: [main, main, main, fourth],
             bus: Bus::default(),
             io: IoPoints::new(),
+            terminals: Terminals::new(),
         }
     }
 }
 
 /// Longest encoded configuration, bytes.
-pub const CONFIG_BYTES_MAX: usize = 1752;
+pub const CONFIG_BYTES_MAX: usize = 2008;
 
 impl Config {
     /// Settings of motion.
@@ -103,8 +108,9 @@ impl Config {
     pub fn bus_setup(&self) -> RobotBusSetup {
         RobotBusSetup {
             members: self.bus.drives,
-            terminals: self.terminals(),
+            terminals: self.terminal_places(),
             values: self.wanted_values(),
+            identities: self.terminals.iter().map(Terminal::place_identity).collect(),
             chosen: &[],
             settings: self.axes.each_ref().map(Axis::drive),
             exchange: self.bus.exchange,
@@ -119,7 +125,7 @@ impl Config {
         }
     }
 
-    /// Checks the named inputs and outputs, and the axes' home switches among them.
+    /// Checks the named inputs and outputs, the axes' home switches among them, and the terminals.
     ///
     /// # Errors
     /// The first [`IoError`].
@@ -135,7 +141,7 @@ impl Config {
                 return Err(IoError::HomeSwitch { axis: number });
             }
         }
-        Ok(())
+        terminal::check(self)
     }
 
     /// The values of all points, in their order.
@@ -165,6 +171,7 @@ impl Config {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::robot_bus::BUS_SLAVES_MAX;
     use crate::robots::{Kind, ScaraGeometry};
     use core::net::Ipv4Addr;
 
@@ -262,8 +269,27 @@ mod tests {
     }
 
     #[test]
-    fn a_configuration_with_as_many_points_as_possible_fits_a_message() {
+    fn a_configuration_with_as_many_points_and_terminals_as_possible_fits_a_message() {
         let mut config = Config::default();
+        for number in 0..TERMINALS_MAX as u8 {
+            let terminal = Terminal {
+                slave: BUS_SLAVES_MAX as u8 - 1 - number,
+                alias: u16::MAX - 4 - u16::from(number),
+                switch: u16::MAX,
+                serial: u32::MAX,
+                vendor: u32::MAX,
+                product: u32::MAX,
+                revision: u32::MAX,
+            };
+            assert_eq!(config.terminals.push(terminal), Ok(()));
+        }
+        for (number, axis) in (0_u16..).zip(&mut config.axes) {
+            (axis.vendor, axis.product, axis.revision) = (u32::MAX, u32::MAX, u32::MAX);
+            (axis.alias, axis.switch, axis.serial) = (u16::MAX - number, u16::MAX, u32::MAX);
+        }
+        config.bus.settle_difference_ns = 100_000;
+        config.bus.host_silence_ms = 10_000;
+        while config.bus.name.push('n').is_ok() {}
         for number in 0..IO_MAX {
             let mut name = IoName::new();
             while name.push(char::from(b'a' + number as u8)).is_ok() {}
@@ -296,6 +322,7 @@ mod tests {
             assert!(config.hash().is_some(), "{kind:?}: {bytes} bytes");
         }
         assert!(config.io.push(IoPoint::default()).is_err());
+        assert!(config.terminals.push(Terminal::default()).is_err());
     }
 
     #[test]

@@ -188,8 +188,12 @@ impl AxisState {
             return;
         };
         if self.known {
-            let difference = turned(input.position.wrapping_sub(self.raw), self.increments_per_revolution);
+            let shown = input.position.wrapping_sub(self.raw);
+            let difference = turned(shown, self.increments_per_revolution);
             self.position += i64::from(difference);
+            if shown != difference && self.drive.has_left_range(shown, difference) {
+                self.lose_home();
+            }
             let cycles = self.gap_ms.min(GAP_AT_REST_MAX_MS) as i32 + 1;
             let before = core::mem::replace(&mut self.step, difference / cycles);
             if self.compared_ms == 0 {
@@ -337,7 +341,7 @@ impl AxisState {
             let expected_rad_s = match wanted {
                 Some((_, demand)) => demand.correction_rad_s + demand.velocity_rad_s,
                 None => {
-                    let error = f64::from(output.position.wrapping_sub(self.raw)) / self.increments_per_rad;
+                    let error = f64::from(self.drive.ahead(output.position)) / self.increments_per_rad;
                     self.config.feedback_gain_per_s * error_removed_rad(error, 0.0)
                 }
             };

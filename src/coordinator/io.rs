@@ -60,7 +60,7 @@ impl Io {
         self.states = config.io.iter().map(|_| IoState::default()).collect();
         let needed = config.io.iter().filter(|point| point.role.is_needed());
         let needed = needed.map(|point| usize::from(point.slave)).collect();
-        self.spared = config.terminals().without(needed);
+        self.spared = config.terminal_places().without(needed);
         self.lamp = None;
         self.changes = self.changes.wrapping_add(1);
     }

@@ -3,9 +3,11 @@
 extern crate std;
 
 use super::*;
-use crate::application::{Command, Refusal};
-use crate::config::{Config, NetworkSettings};
+use crate::application::{Command, Fault, Mode, Refusal};
+use crate::config::{Config, IoDirection, IoPoint, NetworkSettings};
 use crate::ethercat::diagnostics::{ServiceError, ServiceReply, ServiceRequest};
+use crate::ethercat::error::BusError;
+use crate::ethercat::event::Step;
 use crate::ethercat::state::AlState;
 use crate::measurement::Measurements;
 use crate::messages::{ConfigRefusal, PathVertex};
@@ -327,4 +329,45 @@ fn each_drawing_counts_its_vertices_from_0() {
             ..MotionReport::default()
         };
     }
+}
+
+/// An input of a terminal at the fifth place, whose failure is no fault.
+fn spared_terminal() -> Config {
+    let mut config = Config::default();
+    let point = IoPoint {
+        name: "spare".try_into().unwrap(),
+        slave: 4,
+        direction: IoDirection::In,
+        bit: Some(0),
+        ..IoPoint::default()
+    };
+    config.io.push(point).unwrap();
+    config
+}
+
+#[test]
+fn a_failed_bring_up_is_told_although_the_failing_slave_is_a_spared_terminal() {
+    let mut tasks = Tasks::new();
+    assert!(tasks.coordinator.configure(&spared_terminal()).is_ok());
+    let step = Step::Address;
+    let error = BusError::SiiBusy { waited_ms: 20 };
+    let refused = BusEvent::TerminalRefused {
+        position: 4,
+        step,
+        error,
+    };
+    tasks.event(refused);
+    assert_eq!(tasks.coordinator.status().fault, None, "its own failure is none");
+    tasks.event(BusEvent::Refused {
+        position: Some(4),
+        step,
+        error,
+    });
+    let fault = Fault::BusConfiguration {
+        slave: 4,
+        step: step as u8,
+        code: 0,
+    };
+    let status = tasks.coordinator.status();
+    assert_eq!((status.mode, status.fault), (Mode::Fault, Some(fault)));
 }

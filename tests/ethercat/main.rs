@@ -3,6 +3,7 @@
 mod bring_up;
 mod device_images;
 mod diagnosis;
+mod files;
 mod frame_faults;
 mod homing;
 mod real_chain;

@@ -1,5 +1,6 @@
 //! Service requests, on a bus that was brought up and on one that was not.
 
+use crate::device_images::eight;
 use crate::rig::{Rig, idle_rig, idle_rig_of, rig};
 use etherpen::ethercat::diagnostics::{ServiceError, ServiceReply, ServiceRequest, SlaveInfo};
 use etherpen::ethercat::error::BusError;
@@ -304,4 +305,59 @@ fn error_counters_name_the_slaves_at_both_ends_of_a_cable() {
     };
     assert_eq!(errors.partners, [Some(1), Some(3), None, None]);
     assert_eq!(rig.ask(ServiceRequest::ClearErrors), Ok(ServiceReply::Done));
+}
+
+/// Four drives and a slave that no driver knows: four outputs behind a processor that checks its sync manager.
+fn rig_with_stranger() -> Rig<'static> {
+    let mut description = eight().into_iter().nth(1).expect("four outputs");
+    // No device emulation.
+    description.configuration[0] = 0x0004;
+    let mut slaves = vec![cell::SlaveKind::Ax2000; AXES];
+    slaves.push(cell::SlaveKind::Sii(description.image().into()));
+    idle_rig_of(cell::CellOptions {
+        slaves,
+        ..cell::CellOptions::default()
+    })
+}
+
+#[test]
+fn a_slave_without_a_driver_gets_the_sync_managers_that_it_describes_and_goes_to_op() {
+    const STRANGER: u8 = AXES as u8;
+    for is_running in [false, true] {
+        let mut rig = rig_with_stranger();
+        let others: &[usize] = if is_running { &[0, 1, 2, 3] } else { &[] };
+        if is_running {
+            rig.start();
+            rig.operational();
+            rig.run_ms(20);
+        }
+        let before = info(&mut rig, STRANGER);
+        assert_eq!(before.report, in_state(AlState::Init));
+        assert_eq!(
+            (before.output_bytes, before.input_bytes),
+            (1, 0),
+            "what would be exchanged"
+        );
+        for target in [
+            AlState::Operational,
+            AlState::Init,
+            AlState::SafeOperational,
+            AlState::Operational,
+        ] {
+            let answer = rig.ask_while(set_state(STRANGER, target), others);
+            assert_eq!(
+                answer,
+                Ok(ServiceReply::State(in_state(target))),
+                "running: {is_running}"
+            );
+            // Longer than any watchdog.
+            for _ in 0..500 {
+                rig.millisecond();
+                assert!(others.iter().all(|axis| rig.inputs[*axis].is_some()));
+            }
+            let after = info(&mut rig, STRANGER);
+            assert_eq!((after.report, after.output_bytes), (in_state(target), 1));
+        }
+        assert_eq!(rig.cell.outputs(AXES + 1), Some(vec![0]), "they are exchanged, and off");
+    }
 }

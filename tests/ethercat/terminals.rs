@@ -12,7 +12,7 @@ use etherpen::ethercat::supervisor::BusEvent;
 use etherpen::ethercat::wire::coe::Object;
 use etherpen::robots::AXES;
 use etherpen_segment::random::Random;
-use host_tools::cell::{AlState, CellOptions, Fault, SiiFault, SlaveKind, parse_slaves};
+use host_tools::cell::{AlState, CellOptions, DriveState as CellDriveState, Fault, SiiFault, SlaveKind, parse_slaves};
 
 /// Longest bring-up, ms.
 const BRING_UP_MS_MAX: u64 = 5_000;
@@ -309,4 +309,36 @@ fn outputs_become_0_when_the_bus_is_stopped_and_values_are_found_by_their_object
         !rig.group.exchange_mut().set(&place, true),
         "the place is of another plan"
     );
+}
+
+#[test]
+fn a_drive_that_is_named_as_a_terminal_is_no_axis_wherever_it_is() {
+    for named in [0, 2, 4] {
+        let mut rig = rig_of(vec![SlaveKind::Ax2000; AXES + 1], ExchangeKind::Split);
+        rig.setup.terminals = SlaveSet::places(&[named]);
+        rig.start();
+        rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+        rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
+        let slaves = rig.cell.state().slaves;
+        let enabled: Vec<bool> = slaves
+            .iter()
+            .map(|slave| slave.drive == CellDriveState::OperationEnabled)
+            .collect();
+        let expected: Vec<bool> = (0..=AXES).map(|place| place != named).collect();
+        assert_eq!(enabled, expected, "the drive at place {named} is named");
+        let mut members: Vec<(u8, Option<u8>)> = Vec::new();
+        for event in &rig.log {
+            if let BusEvent::Slave { position, member, .. } = event {
+                members.retain(|(there, _)| there != position);
+                members.push((*position, *member));
+            }
+        }
+        members.sort_unstable();
+        let mut axes = 0..AXES as u8;
+        let expected: Vec<(u8, Option<u8>)> = (0..=AXES as u8)
+            .map(|place| (place, (usize::from(place) != named).then(|| axes.next()).flatten()))
+            .collect();
+        assert_eq!(members, expected);
+        assert_eq!(rig.al_state(named), AlState::Operational);
+    }
 }

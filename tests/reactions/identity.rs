@@ -168,3 +168,26 @@ fn the_operator_reads_what_tells_the_drives_apart() {
         assert_eq!(come_back(&mut robot, 0), 0);
     }
 }
+
+#[test]
+fn a_drive_that_returned_at_anothers_place_is_known_again_when_it_is_put_back_with_power() {
+    for clocks in [false, true] {
+        let mut config = Config::default();
+        config.bus.clocks = clocks;
+        let mut robot = Robot::of(&config, CellOptions::default()).enabled().in_a_drawing();
+        robot.inject(CellFault::Power(2, 500));
+        robot.run(200);
+        robot.inject(EXCHANGED);
+        robot.run(3_000);
+        robot.wait_for(Mode::Fault);
+        let slaves = robot.status.as_ref().unwrap().slaves.len();
+        assert_eq!(slaves, 5, "it is taken for an extra one between the others");
+        let before = robot.cell().joints;
+        let left = acknowledge(&mut robot);
+        assert!(left.is_some(), "it is not at its place");
+        assert_eq!(robot.cell().joints, before, "a motor has moved");
+        robot.inject(EXCHANGED);
+        robot.run(500);
+        assert_eq!(come_back(&mut robot, 1), 1);
+    }
+}

@@ -7,10 +7,11 @@ use crate::robot::{Robot, path};
 use crate::{STILL_RAD_S, assert_described_standstill, assert_recovers_and_draws};
 use etherpen::application::{Fault, InputCause, IoRefusal, Mode, Refusal};
 use etherpen::board::{Interlock, Lamps};
-use etherpen::config::{Config, IoDirection, IoError, IoPoint, IoRole, IoType, ObjectName, OnFault};
+use etherpen::config::{Config, IoDirection, IoError, IoPoint, IoRole, IoType, ObjectName, OnFault, Terminal};
 use etherpen::ethercat::cyclic::ExchangeKind;
+use etherpen::ethercat::error::IdentityProperty;
 use etherpen::messages::{Command, ConfigRefusal, IoState};
-use host_tools::cell::{AlState, CellOptions, DriveState, Fault as CellFault, SlaveKind, parse_slaves};
+use host_tools::cell::{AlState, CellOptions, DriveState, Fault as CellFault, SlaveKind, SlaveList, parse_slaves};
 use host_tools::link::text;
 
 /// Bits of the EL1008: all contacts closed, start open.
@@ -601,4 +602,126 @@ fn a_configuration_with_a_wrong_point_is_refused_with_its_reason() {
     let (one, mut other) = (BEHIND.config(), BEHIND.config());
     other.io[5].bit = Some(3);
     assert_ne!(one.hash(), other.hash());
+}
+
+/// A chain whose two input terminals are told apart by their aliases, and its configuration.
+fn two_input_terminals() -> (Config, CellOptions) {
+    let mut config = BEHIND.config();
+    config
+        .terminals
+        .extend([(5, 21), (7, 22)].map(|(slave, alias)| Terminal {
+            slave,
+            alias,
+            vendor: 2,
+            ..Terminal::default()
+        }));
+    let list: SlaveList = "ax2000*4,ek1100,el1008@alias=21,el2004,el1008@alias=22"
+        .parse()
+        .unwrap();
+    let options = CellOptions {
+        slaves: list.slaves,
+        places: list.places,
+        ..CellOptions::default()
+    };
+    (config, options)
+}
+
+#[test]
+fn terminals_at_each_others_places_are_refused_with_both_and_draw_when_they_are_put_back() {
+    let exchanged = CellFault::Recable(6, 8);
+    for at_bring_up in [true, false] {
+        let (config, options) = two_input_terminals();
+        let mut robot = Robot::of(&config, options);
+        robot.set_inputs(6, CLOSED);
+        if at_bring_up {
+            robot.inject(exchanged);
+            robot.run(5);
+            robot.configure(&config);
+        } else {
+            robot = robot.enabled().in_a_drawing();
+            robot.inject(CellFault::Power(6, 1_500));
+            robot.inject(CellFault::Power(8, 1_500));
+            robot.run(500);
+            robot.inject(exchanged);
+            robot.run(1_500);
+        }
+        // The contacts that are wired to the other terminal are closed: only its alias tells that it is the wrong one.
+        robot.set_inputs(6, CLOSED);
+        robot.set_inputs(8, CLOSED);
+        robot.wait_for(Mode::Fault);
+        robot.run(1_000);
+        assert!(robot.speed_rad_s() < STILL_RAD_S);
+        let before = robot.cell().joints;
+        for fault in [robot.fault(), acknowledge(&mut robot)]
+            .into_iter()
+            .skip(usize::from(!at_bring_up))
+        {
+            let told = fault.as_ref().map(text::fault).unwrap_or_default();
+            println!("{told}");
+            let Some(Fault::WrongSlave {
+                slave, property, other, ..
+            }) = fault
+            else {
+                panic!("at bring-up {at_bring_up}: {fault:?}");
+            };
+            assert_eq!((slave, property, other), (5, IdentityProperty::Alias, Some(7)));
+            assert!(told.contains("slave 6 ") && told.contains("slave 8"), "{told}");
+        }
+        assert_eq!(robot.command(Command::Enable), Err(Refusal::NotInMode(Mode::Fault)));
+        assert_eq!(robot.cell().joints, before, "a motor has moved");
+        assert!(!robot.io(IO_STOP).valid, "its inputs are missing");
+        robot.inject(CellFault::Power(6, 300));
+        robot.inject(CellFault::Power(8, 300));
+        robot.run(100);
+        robot.inject(exchanged);
+        robot.run(600);
+        robot.set_inputs(6, CLOSED);
+        robot.set_inputs(8, CLOSED);
+        robot.run(100);
+        assert_recovers_and_draws(&mut robot);
+    }
+}
+
+#[test]
+fn a_terminal_of_another_product_than_expected_is_refused_and_the_right_one_is_taken_in_its_place() {
+    let mut config = BEHIND.config();
+    let expected = Terminal {
+        slave: 5,
+        vendor: 2,
+        product: 0x03F0_3052,
+        ..Terminal::default()
+    };
+    config.terminals.push(expected).unwrap();
+    let mut robot = Robot::of(
+        &config,
+        CellOptions {
+            slaves: parse_slaves("ax2000*4,ek1100,el2004,el1008").unwrap(),
+            ..CellOptions::default()
+        },
+    );
+    robot.configure(&config);
+    robot.wait_for(Mode::Fault);
+    assert!(
+        matches!(
+            robot.fault(),
+            Some(Fault::WrongSlave {
+                slave: 5,
+                property: IdentityProperty::Product,
+                other: Some(6),
+                ..
+            })
+        ),
+        "{:?}",
+        robot.fault()
+    );
+    for slave in [6, 7] {
+        robot.inject(CellFault::Power(slave, 300));
+    }
+    robot.run(100);
+    robot.inject(CellFault::Recable(6, 7));
+    robot.run(500);
+    // The cell names the terminals by their present places.
+    robot.set_inputs(6, CLOSED);
+    robot.run(100);
+    assert_recovers_and_draws(&mut robot);
 }

@@ -2,11 +2,13 @@
 
 use crate::feedback::{apart_mm, with};
 use crate::robot::Robot;
-use crate::{STILL_RAD_S, assert_described_standstill, assert_recovers_and_draws};
+use crate::{STILL_RAD_S, assert_described_standstill, assert_recovers_and_draws, path};
 use etherpen::application::{Fault, Mode};
 use etherpen::config::{AxisMode, Config};
 use etherpen::messages::Command;
-use host_tools::cell::{DriveState, Fault as CellFault, InkStroke, ResolverFault};
+use etherpen::robots::AXES;
+use host_tools::cell::{CellOptions, DriveState, Fault as CellFault, InkStroke, OneTurn, PlaceOptions, ResolverFault};
+use std::f64::consts::TAU;
 
 /// Speeds of the pen on the paper, mm/s: slow, and the fastest that the drawing reaches.
 const SPEEDS_MM_S: [f64; 2] = [60.0, 400.0];
@@ -187,5 +189,124 @@ fn a_stop_and_a_hold_end_at_rest_with_the_targets_where_the_motors_are() {
         let states = robot.cell().slaves;
         assert!(states.iter().all(|slave| slave.drive != DriveState::OperationEnabled));
         assert_recovers_and_draws(&mut robot);
+    }
+}
+
+/// Drives that count one motor turn only.
+fn one_turn(one_turn: OneTurn) -> CellOptions {
+    let place = PlaceOptions {
+        one_turn: Some(one_turn),
+        ..PlaceOptions::default()
+    };
+    CellOptions {
+        places: vec![place; AXES],
+        ..CellOptions::default()
+    }
+}
+
+/// Joint angles at which the arms pass an end of their drives' turns in a drawing, with the configuration for them: the
+/// angles half-way through a drawing.
+fn with_ends_in_a_drawing(speed_mm_s: f64) -> (Config, [f64; AXES]) {
+    let mut config = config(speed_mm_s);
+    let mut robot = Robot::idle_with(&config).in_a_drawing();
+    let mut least = robot.cell().joints.0;
+    let mut most = least;
+    while !robot.has_drawn() {
+        robot.run(1);
+        for (axis, angle_rad) in robot.cell().joints.0.into_iter().enumerate() {
+            least[axis] = least[axis].min(angle_rad);
+            most[axis] = most[axis].max(angle_rad);
+        }
+    }
+    let ends: [f64; AXES] = std::array::from_fn(|axis| (least[axis] + most[axis]) / 2.0);
+    for (axis, end_rad) in config.axes.iter_mut().zip(ends) {
+        let turns = (axis.sync_angle_rad - end_rad) * axis.gear / TAU;
+        let increments = f64::from(axis.increments_per_revolution);
+        axis.sync_increments = (turns.rem_euclid(1.0) * increments) as u32;
+    }
+    (config, ends)
+}
+
+#[test]
+fn drives_that_count_one_turn_draw_across_its_end_as_those_that_count_all_turns() {
+    for speed_mm_s in SPEEDS_MM_S {
+        let (config, ends) = with_ends_in_a_drawing(speed_mm_s);
+        let expected = sound(&config);
+        let mut robot = Robot::of(&config, one_turn(OneTurn::Told)).enabled().in_a_drawing();
+        let mut passes = [0; AXES];
+        let mut before = robot.cell().joints.0;
+        while !robot.has_drawn() {
+            robot.run(1);
+            let now = robot.cell().joints.0;
+            for axis in 0..AXES {
+                passes[axis] += u32::from((before[axis] < ends[axis]) != (now[axis] < ends[axis]));
+            }
+            before = now;
+        }
+        assert_eq!(robot.fault(), None);
+        let apart_mm = apart_mm(&robot.ink(), &expected);
+        println!("{speed_mm_s} mm/s: ends passed {passes:?} times, ink {apart_mm:.4} mm from that of other drives");
+        assert!(passes[..3].iter().all(|passes| *passes > 0), "{passes:?}");
+        let limit_mm = AFTERWARDS_MM + 0.5e-3 * speed_mm_s;
+        assert!(apart_mm < limit_mm, "{apart_mm} mm");
+    }
+}
+
+#[test]
+fn drives_that_hold_at_the_end_of_their_turn_stay_there_whatever_is_missing() {
+    let (config, ends) = with_ends_in_a_drawing(SPEEDS_MM_S[0]);
+    let mut robot = Robot::of(&config, one_turn(OneTurn::Told)).enabled().in_a_drawing();
+    robot.run_until("an arm is at the end of its turn", |robot| {
+        let joints = robot.cell().joints.0;
+        (0..3).any(|axis| (joints[axis] - ends[axis]).abs() < 1e-3)
+    });
+    robot.command(Command::Hold).unwrap();
+    robot.run(2_000);
+    assert_eq!((robot.mode(), robot.fault()), (Mode::Holding, None));
+    let held = robot.cell().joints.0;
+    robot.inject(CellFault::Stall(3));
+    robot.run(500);
+    for (after, before) in robot.cell().joints.0.iter().zip(held) {
+        assert!((after - before).abs() < 1e-5, "{after} rad, {before} rad before");
+    }
+    robot.command(Command::Resume).unwrap();
+    finish(&mut robot);
+    assert_eq!(robot.fault(), None);
+}
+
+#[test]
+fn a_drive_that_does_not_tell_that_it_counts_one_turn_stops_the_robot_at_its_end() {
+    for speed_mm_s in SPEEDS_MM_S {
+        let (config, ends) = with_ends_in_a_drawing(speed_mm_s);
+        let mut robot = Robot::of(&config, one_turn(OneTurn::Untold)).enabled();
+        robot.draw(path());
+        robot.run_until("a fault is told", |robot| robot.fault().is_some());
+        let passed = robot.cell().joints.0;
+        let nearest = (0..3).map(|axis| (passed[axis] - ends[axis]).abs());
+        let nearest_rad = nearest.fold(f64::INFINITY, f64::min);
+        let mut moved_rad = 0.0_f64;
+        for _ in 0..300 {
+            robot.run(1);
+            for (now, passed) in robot.cell().joints.0.iter().zip(passed) {
+                moved_rad = moved_rad.max((now - passed).abs());
+            }
+        }
+        println!(
+            "{speed_mm_s} mm/s: {:?}, {nearest_rad:.4} rad from the end of a turn, then moved by {moved_rad:.4} rad",
+            robot.fault()
+        );
+        assert!(
+            robot
+                .fault()
+                .is_some_and(|fault| matches!(fault, Fault::ReferenceLost { .. })),
+            "{:?}",
+            robot.fault()
+        );
+        assert!(robot.speed_rad_s() < STILL_RAD_S);
+        // A turn of a motor is 0.52 rad at the joint.
+        assert!(
+            nearest_rad < 0.02 && moved_rad < 0.05,
+            "{nearest_rad} rad, {moved_rad} rad"
+        );
     }
 }

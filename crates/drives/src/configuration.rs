@@ -8,8 +8,8 @@
 use crate::layout::LayoutBuilder;
 use crate::layout::ProcessLayout;
 use crate::{
-    AxisMode, DriveKind, DriveSettings, ModeDescription, OPERATION_MODE, OPERATION_MODE_DISPLAY,
-    QUICK_STOP_DECELERATION,
+    AxisMode, DriveKind, DriveSettings, ModeDescription, OPERATION_MODE, OPERATION_MODE_DISPLAY, POSITION_FIRST,
+    POSITION_LAST, PositionRange, QUICK_STOP_DECELERATION,
 };
 use etherpen_ethercat::configure::PreOperational;
 use etherpen_ethercat::driver::{Direction, ProcessData, Setting, SlaveFactory};
@@ -25,7 +25,7 @@ const MODE_TIMEOUT_MS: u32 = 500;
 /// # Errors
 /// [`BusError::Range`] when the drive lacks the mode or an object cannot take a value, [`BusError::Mapping`],
 /// [`BusError::Alignment`] or [`BusError::ProcessLength`] when its process data cannot be used, [`BusError::SdoAbort`],
-/// [`BusError::ReadBack`], or errors of the mailbox.
+/// [`BusError::ReadBack`], [`BusError::PositionRange`] in position mode, or errors of the mailbox.
 pub(crate) async fn used<F: SlaveFactory<Layout = ProcessLayout>, const MESSAGE: usize>(
     kind: DriveKind,
     drive: &DriveSettings,
@@ -55,7 +55,28 @@ pub(crate) async fn used<F: SlaveFactory<Layout = ProcessLayout>, const MESSAGE:
     for setting in &settings {
         slave.write(setting).await?;
     }
+    data.layout.range = match drive.mode {
+        AxisMode::Position => position_range(drive, slave).await?,
+        AxisMode::Velocity | AxisMode::Torque => PositionRange::WHOLE,
+    };
     Ok(data)
+}
+
+/// The range of a drive's position; [`PositionRange::WHOLE`] for a drive without object 0x607B.
+async fn position_range<const MESSAGE: usize>(
+    drive: &DriveSettings,
+    slave: &mut PreOperational<'_, '_, MESSAGE>,
+) -> Result<PositionRange, BusError> {
+    let mut ends = [0_i32; 2];
+    for (end, object) in ends.iter_mut().zip([POSITION_FIRST, POSITION_LAST]) {
+        *end = match slave.dictionary().read(object, 4).await {
+            Ok(position) => position.cast_signed(),
+            Err(BusError::SdoAbort { .. }) => return Ok(PositionRange::WHOLE),
+            Err(error) => return Err(error),
+        };
+    }
+    let [first, last] = ends;
+    PositionRange::told(first, last, drive.increments_per_revolution)
 }
 
 /// Checks the mode of a drive in OP whose process data do not show it, and which did not show it in PREOP.

@@ -104,6 +104,7 @@ where
         Some(GroupDrive {
             kind: role.device,
             mode: role.layout.mode,
+            range: role.layout.range(),
             // The slave is watched from OP on, until it is seen in another state.
             operational: share.watched,
             generation: share.generation,

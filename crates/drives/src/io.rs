@@ -8,6 +8,7 @@
 //! Invariant: reading and writing values only accesses memory; only a trigger moves them to and from the wire.
 
 use crate::cia402::DriveTarget;
+use crate::position_range::PositionRange;
 use crate::{AxisMode, DriveInput, DriveKind, DriveOutput};
 use etherpen_ethercat::configure::Direction;
 use etherpen_ethercat::cyclic::{Arrival, BusCounters, ExchangeKind};
@@ -61,6 +62,8 @@ pub struct GroupDrive {
     pub mode: AxisMode,
     /// Whether it may be enabled: it reached OP and has not been seen in another state since.
     pub operational: bool,
+    /// Range of its position; known in position mode only.
+    pub range: PositionRange,
     /// Number of its last configuration, wrapping: a new number means that it may have been switched off in between.
     pub generation: u8,
 }
@@ -128,7 +131,7 @@ pub trait TorqueIo {
 /// An axis that is commanded by a position.
 pub trait PositionIo {
     /// The output that leads the drive towards `target` and, in operation, demands this position, increments of the drive
-    /// (wrapping), and adds this velocity at the joint, rad/s, to the one of the drive's position loop.
+    /// (wrapping at 32 bits, also where the drive's range is smaller), and adds this velocity at the joint, rad/s, to the one of the drive's position loop.
     ///
     /// `None` holds the last position that was demanded. When the drive comes into operation, that is its position then.
     fn set_position(&mut self, target: DriveTarget, position: Option<i32>, velocity_rad_s: f64) -> DriveOutput;

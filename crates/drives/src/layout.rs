@@ -8,6 +8,7 @@
 //! both directions fit [`PROCESS_BYTES_MAX`]; reading and writing never leave the bytes given.
 
 use super::cia402::StatusWord;
+use super::position_range::PositionRange;
 use super::{
     AxisMode, CONTROL_WORD, DriveInput, DriveOutput, ModeDescription, OPERATION_MODE, OPERATION_MODE_DISPLAY, POSITION,
     POSITION_INTERNAL, STATUS_WORD, TARGET_POSITION,
@@ -42,12 +43,19 @@ pub struct ProcessLayout {
     mode_display: u8,
     /// Whether the drive has shown its mode already, outside the process data.
     pub(crate) mode_shown: bool,
+    /// Range of the position; known in position mode only.
+    pub(crate) range: PositionRange,
 }
 
 impl ProcessLayout {
     /// Whether the drive shows its mode in each cycle.
     pub const fn shows_mode(&self) -> bool {
         self.mode_display != ABSENT
+    }
+
+    /// Range of the drive's position; known in position mode only.
+    pub const fn range(&self) -> PositionRange {
+        self.range
     }
 
     /// Decodes inputs; `None` when there are too few bytes.
@@ -245,6 +253,7 @@ impl LayoutBuilder {
             status: status.required()?,
             mode_display: mode_display.offset,
             mode_shown: false,
+            range: PositionRange::WHOLE,
         })
     }
 }

@@ -5,8 +5,8 @@
 //! A module imports modules of lower layers only.
 //!
 //! 1. `cia402`: CiA 402 words and states
-//! 2. `io`, `layout`, `homing`, `probe`: traits between control and I/O; where values are in process data; homing by the
-//!    drive; its touch probes
+//! 2. `position_range`, `io`, `layout`, `homing`, `probe`: range of a position; traits between control and I/O; where values
+//!    are in process data; homing by the drive; its touch probes
 //! 3. `configuration`: settings and their writing
 //! 4. `generic`: any CiA 402 servo drive
 //! 5. `ax2000`, `akd`: drive types
@@ -29,12 +29,14 @@ pub mod homing;
 pub mod io;
 pub mod layout;
 mod memory_group;
+mod position_range;
 pub mod probe;
 mod servo_axis;
 
 pub use ethercat_group::EtherCatGroup;
 pub use factory::{DRIVES, ServoDrives, drive_kind, drive_kind_by_type};
 pub use memory_group::MemoryGroup;
+pub use position_range::PositionRange;
 pub use servo_axis::{AxisLimits, ServoAxis};
 
 use cia402::{ControlWord, StatusWord};
@@ -65,6 +67,10 @@ pub const TARGET_POSITION: Object = Object::new(0x607A, 0);
 pub const FOLLOWING_WINDOW: Object = Object::new(0x6065, 0);
 /// Time for which the following error may be above its window, 16 bits, ms.
 pub const FOLLOWING_TIME_OUT: Object = Object::new(0x6066, 0);
+/// First position of a drive's range, 32 bits; the positions wrap behind the last one. A drive need not have it.
+pub const POSITION_FIRST: Object = Object::new(0x607B, 1);
+/// Last position of a drive's range, 32 bits.
+pub const POSITION_LAST: Object = Object::new(0x607B, 2);
 /// Velocity added to the position loop's, 32 bits; a drive need not have it.
 pub const VELOCITY_OFFSET: Object = Object::new(0x60B1, 0);
 /// Quick-stop deceleration, 32 bits.

@@ -1,13 +1,14 @@
 //! A servo drive as an axis: scales demands to the drive's digits and leads the drive through the states of CiA 402.
 //!
-//! Invariants: a demand never exceeds the axis's limit; it is 0 unless the drive is in operation, meant to stay there,
-//! and takes this kind of demand; a drive that is not operational, or not in the mode that was set, is not enabled, so
-//! that it goes through the whole sequence afterwards. A target position begins where the drive is when it comes into
-//! operation, and changes by no more in a cycle than the axis's greatest velocity allows.
+//! Invariants: a demand never exceeds the axis's limit; it is 0 unless the drive is in operation, in the mode that was set,
+//! meant to stay there, and takes this kind of demand; a drive that is not operational is not enabled, so that it goes
+//! through the whole sequence afterwards; nor is one that shows another mode with power in more than [`MODE_CYCLES_MAX`]
+//! cycles in a row. A target position begins where the drive is when it comes into operation,
+//! changes by no more in a cycle than the axis's greatest velocity allows, and stays in the drive's range.
 
 use crate::cia402::{self, ControlWord, DriveState, DriveTarget, StatusWord};
 use crate::io::{GroupDrive, PositionIo, TorqueIo, VelocityIo};
-use crate::{AxisMode, DriveInput, DriveKind, DriveOutput, DriveSettings};
+use crate::{AxisMode, DriveInput, DriveKind, DriveOutput, DriveSettings, PositionRange};
 use core::f64::consts::TAU;
 
 /// Largest demands on an axis.
@@ -30,6 +31,7 @@ struct Scale {
     limit: f64,
     /// Largest change of the target position in a cycle, increments; at least 1.
     step_max: i32,
+    range: PositionRange,
 }
 
 impl Scale {
@@ -45,7 +47,10 @@ impl Scale {
             mode: drive.mode,
             digits_per_unit,
             limit,
-            step_max: ((limits.velocity_rad_s.abs() * increments_per_rad * CYCLE_S) as i32).max(1),
+            step_max: ((limits.velocity_rad_s.abs() * increments_per_rad * CYCLE_S) as i32)
+                .min(drive.range.step_max())
+                .max(1),
+            range: drive.range,
         })
     }
 }
@@ -63,7 +68,8 @@ pub struct ServoAxis {
     position: i32,
     state: DriveState,
     mode_in_effect: bool,
-    /// Cycles with power in which the drive has shown another mode.
+    /// Cycles with power in which the drive has shown another mode, since it was last in the mode that was set or meant to
+    /// be without power.
     without_mode: u8,
     /// Last target position that the drive was to follow; `None` while it follows none.
     target_position: Option<i32>,
@@ -94,7 +100,9 @@ impl ServoAxis {
     pub fn adopt(&mut self, drive: Option<&GroupDrive>, settings: &DriveSettings, limits: &AxisLimits) -> bool {
         self.operational = drive.is_some_and(|drive| drive.operational);
         let same = match (&self.scale, drive) {
-            (Some(scale), Some(drive)) => core::ptr::eq(scale.kind, drive.kind) && scale.mode == drive.mode,
+            (Some(scale), Some(drive)) => {
+                core::ptr::eq(scale.kind, drive.kind) && (scale.mode, scale.range) == (drive.mode, drive.range)
+            }
             (None, None) => true,
             _ => false,
         };
@@ -110,6 +118,9 @@ impl ServoAxis {
         self.position = input.position;
         self.state = input.status.state();
         self.mode_in_effect = input.mode_in_effect;
+        if input.mode_in_effect {
+            self.without_mode = 0;
+        }
     }
 
     /// State of the drive when it last reported.
@@ -121,6 +132,23 @@ impl ServoAxis {
     /// Kind of demand that the drive takes, and its digits for 1 rad/s or 1 N m at the joint; `None` without a drive.
     pub fn demand_scale(&self) -> Option<(AxisMode, f64)> {
         self.scale.as_ref().map(|scale| (scale.mode, scale.digits_per_unit))
+    }
+
+    /// How far a position of the drive is ahead of the present one, increments: the shorter way round in its range.
+    #[inline]
+    pub fn ahead(&self, position: i32) -> i32 {
+        let difference = position.wrapping_sub(self.position);
+        self.scale
+            .as_ref()
+            .map_or(difference, |scale| scale.range.nearest(difference))
+    }
+
+    /// Whether a drive in position mode has passed the end of a range that it has not told: `difference` is that of two
+    /// positions, `turned` the one that the motor has moved. What its targets would mean is not known.
+    #[cold]
+    pub fn has_left_range(&self, difference: i32, turned: i32) -> bool {
+        let is_beyond = |scale: &Scale| scale.mode == AxisMode::Position && scale.range.nearest(difference) != turned;
+        self.scale.as_ref().is_some_and(is_beyond)
     }
 
     /// Whether an output lets the drive run: its demand is in effect.
@@ -212,8 +240,11 @@ impl PositionIo for ServoAxis {
             return output;
         };
         let last = self.target_position.unwrap_or(self.position);
-        let change = position.unwrap_or(last).wrapping_sub(last);
+        // The drive may have passed an end of its range since the last target, and the target may lie beyond one.
+        let lead = scale.range.nearest(last.wrapping_sub(self.position));
+        let change = position.map_or(0, |position| position.wrapping_sub(self.position).wrapping_sub(lead));
         let next = last.wrapping_add(change.max(-scale.step_max).min(scale.step_max));
+        let next = scale.range.fold(next);
         self.target_position = Some(next);
         DriveOutput {
             position: next,

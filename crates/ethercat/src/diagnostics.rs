@@ -186,7 +186,9 @@ impl ServiceRequest {
         }
     }
 
-    /// Whether the request changes anything on a slave.
+    /// Whether the request may change a slave's state, objects, files or counters, or belongs to a transfer that does: it is
+    /// carried out only where the application allows a change, and is not repeated after an interruption. Requests for the
+    /// pieces of a file that is read count too. Other requests may still bring a slave in INIT to PREOP, to use its mailbox.
     pub const fn changes(&self) -> bool {
         let writes = matches!(self, Self::SetState { .. } | Self::Download { .. } | Self::ClearErrors);
         writes || self.is_about_files()
@@ -271,9 +273,10 @@ pub struct SlaveInfo {
     pub mailbox_in: MailboxWindow,
     /// Mailbox protocols, see [`sii`](super::wire::sii).
     pub protocols: u16,
-    /// Bytes of cyclic outputs.
+    /// Bytes of cyclic outputs: those that are exchanged, or would be in SAFEOP as the slave describes them. 0 for a slave
+    /// with a driver that has not chosen them yet.
     pub output_bytes: u16,
-    /// Bytes of cyclic inputs.
+    /// Bytes of cyclic inputs, likewise.
     pub input_bytes: u16,
     /// The ports, 0 to 3.
     pub ports: [PortInfo; PORTS],

@@ -263,6 +263,15 @@ pub enum BusError {
         /// Sync managers found.
         actual: u8,
     },
+    /// A file of the slave is being transferred in BOOT.
+    FileOpen,
+    /// A drive's positions repeat after a number that is not a whole number of motor turns.
+    PositionRange {
+        /// Increments of a motor turn.
+        expected: u32,
+        /// Number of positions until they repeat.
+        actual: u32,
+    },
 }
 
 impl BusError {

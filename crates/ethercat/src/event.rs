@@ -4,7 +4,7 @@
 
 use super::clock::Settling;
 pub use super::configure::own_data::ChosenEntry;
-use super::driver::{Direction, SlaveFactory};
+use super::driver::{Direction, ExpectedIdentity, SlaveFactory};
 use super::error::BusError;
 use super::plan::{ExchangeKind, VALUES_MAX, ValueBit};
 use super::port_state::PortState;
@@ -66,6 +66,18 @@ impl WantedValue {
     }
 }
 
+/// Most terminals whose identity is compared.
+pub const IDENTITIES_MAX: usize = 6;
+
+/// The identity that the application requires of the terminal at a place.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PlaceIdentity {
+    /// Place in the chain, from 0.
+    pub slave: u8,
+    /// The identity.
+    pub identity: ExpectedIdentity,
+}
+
 /// The bus that a bring-up expects, and how to run it.
 #[derive(Clone, Debug, PartialEq)]
 pub struct BusSetup<F: SlaveFactory> {
@@ -81,6 +93,8 @@ pub struct BusSetup<F: SlaveFactory> {
     /// [`Exchange::value`](super::cyclic::Exchange::value). A terminal of which two of them share an output bit is
     /// refused with [`BusError::SharedOutput`].
     pub values: Vec<WantedValue, VALUES_MAX>,
+    /// Identities required of terminals; a slave that differs is refused with [`BusError::WrongSlave`].
+    pub identities: Vec<PlaceIdentity, IDENTITIES_MAX>,
     /// Process data that are assigned and mapped over CoE before the process data of a terminal are read; those of other
     /// sync managers stay as they are.
     pub chosen: &'static [ChosenEntry],
@@ -107,6 +121,7 @@ impl<F: SlaveFactory> Default for BusSetup<F> {
             members: 0,
             terminals: SlaveSet::NONE,
             values: Vec::new(),
+            identities: Vec::new(),
             chosen: &[],
             settings: F::Settings::default(),
             exchange: ExchangeKind::default(),
@@ -167,6 +182,8 @@ pub enum Step {
     Clocks,
     /// Another slave changed during a bring-up or a repair.
     Watch,
+    /// Leaving BOOT.
+    Bootstrap,
 }
 
 /// Event from the supervisor.

@@ -49,7 +49,7 @@ pub struct Slave<F: SlaveFactory> {
     pub is_terminal: bool,
     /// Its process data, once its driver has configured them.
     pub process_data: Option<ProcessData<F>>,
-    /// The process data of a terminal, once they are known.
+    /// The process data of a slave that exchanges its own, once they are known.
     pub own_data: Option<OwnData>,
     /// Its mailbox, once configured.
     pub mailbox: Mailbox,
@@ -96,6 +96,11 @@ impl<F: SlaveFactory> Slave<F> {
     /// Whether the application uses the slave.
     pub const fn is_used(&self) -> bool {
         self.member.is_some() || self.is_terminal
+    }
+
+    /// Whether its process data are those that the slave itself describes: it is a terminal, or has no driver.
+    pub const fn has_own_data(&self) -> bool {
+        self.is_terminal || self.device.is_none()
     }
 
     /// Bytes of its outputs and of its inputs; 0 while they are not known.

@@ -47,7 +47,7 @@ pub use devices::kind::SlaveKind;
 pub use drive::homing::Switches;
 pub use drive::resolver::{ResolverError, ResolverFault};
 pub use drive::velocity_loop::{LOOP_STEP_S, LOOP_STEPS, PiLoop, VelocityLoop};
-pub use drive::{DriveOptions, DriveState};
+pub use drive::{DriveOptions, DriveState, OneTurn};
 pub use eeprom::SiiFault;
 pub use eeprom::esi::{EsiDevice, EsiError};
 pub use faults::kinds::{Fault, MailFault, MailStep, Manner, Product};

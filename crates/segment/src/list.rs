@@ -8,6 +8,7 @@
 
 use crate::controller::silicon::ClockWidth;
 use crate::devices::kind::SlaveKind;
+use crate::drive::OneTurn;
 use crate::eeprom::esi::EsiDevice;
 use crate::slave::options::PlaceOptions;
 use crate::wiring::Branch;
@@ -24,8 +25,8 @@ const TIME_MAX_MS: u64 = 3_600_000;
 /// Most bytes of a slave information file (ESI).
 const ESI_BYTES_MAX: u64 = 64 << 20;
 /// The settings of a slave, for messages.
-const SETTINGS: &str = "name=NAME, alias=N, serial=N, id=N, password=N, clock=32|64, lock=MS, boot=MS, transition=MS, \
-                        mailbox=MS or sii=needed";
+const SETTINGS: &str = "name=NAME, alias=N, serial=N, id=N, password=N, clock=32|64, range=turn|untold, lock=MS, boot=MS, \
+                        transition=MS, mailbox=MS or sii=needed";
 /// Ports that parentheses without a port take, in turn.
 const BRANCH_PORTS: [u8; 2] = [2, 3];
 
@@ -350,6 +351,13 @@ fn set(place: &mut PlaceOptions, setting: &str) -> Option<()> {
                 _ => return None,
             });
         }
+        "range" => {
+            place.one_turn = Some(match value {
+                "turn" => OneTurn::Told,
+                "untold" => OneTurn::Untold,
+                _ => return None,
+            });
+        }
         "password" => place.password = number(value)?.try_into().ok()?,
         "lock" => place.lock_ms = Some(milliseconds()?.try_into().ok()?),
         "boot" => place.processor.boot_ms = milliseconds()?,
@@ -516,6 +524,7 @@ mod tests {
             "alias=x",
             "serial=0x100000000",
             "clock=16",
+            "range=2",
             "boot=3600001",
             "sii=yes",
             "speed=1",

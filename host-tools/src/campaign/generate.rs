@@ -32,6 +32,10 @@ pub enum Profile {
     Board,
     /// Commands at any time, several in one millisecond.
     Operator,
+    /// Terminals behind the drives, and outputs that are lost on their way.
+    Terminals,
+    /// Drives at each other's places, told apart by their serial numbers, and outputs that are lost on their way.
+    Cables,
 }
 
 /// Longest time of an episode before everything is healed, ms.
@@ -67,10 +71,43 @@ pub fn episode(seed: u64, profile: Profile) -> Episode {
     if !is_by_torque && Chance::new(seed ^ POSITION_SEED).one_in(6) {
         by_position(&mut episode);
     }
+    match profile {
+        Profile::Terminals => with_terminals(&mut episode),
+        Profile::Cables => with_serial_numbers(&mut episode),
+        _ => {}
+    }
     if profile != Profile::Quiet {
         episode.events = events(&mut chance, profile, duration_ms);
     }
     episode
+}
+
+/// Names a lamp and an input of two terminals behind the drives, whose failure is no fault.
+fn with_terminals(episode: &mut Episode) {
+    let point = |name: &str, place: u64, direction: &str, role: &str| {
+        let text = |text: &str| Value::String(text.into());
+        Value::Table(toml::Table::from_iter([
+            ("name".into(), text(name)),
+            ("slave".into(), Value::Integer(place as i64)),
+            ("direction".into(), text(direction)),
+            ("bit".into(), Value::Integer(0)),
+            ("role".into(), text(role)),
+        ]))
+    };
+    let first = trouble::TERMINAL - 1;
+    let points = vec![
+        point("lamp", first, "out", "lamp"),
+        point("spare", first + 1, "in", "none"),
+    ];
+    episode.config.insert("io".into(), Value::Array(points));
+}
+
+/// Tells the drives apart: those of the cell count their serial numbers from 1.
+fn with_serial_numbers(episode: &mut Episode) {
+    for axis in 0..Config::default().axes.len() {
+        let serial = Value::Integer(axis as i64 + 1);
+        episode.config.insert(format!("axes.{axis}.serial"), serial);
+    }
 }
 
 /// Lets all drives close the position loop.
@@ -149,6 +186,9 @@ pub(super) fn what(chance: &mut Chance, profile: Profile) -> What {
         Profile::Bus if chance.one_in(10) => What::State(chance.below(4) as u8, chance.one_of(&[1, 2, 4, 8])),
         Profile::Bus => What::Fault(trouble::of_the_bus(chance)),
         Profile::Drives => What::Fault(trouble::of_a_drive(chance)),
+        Profile::Terminals if chance.one_in(4) => What::Fault(trouble::of_the_bus(chance)),
+        Profile::Terminals => What::Fault(trouble::of_a_terminal(chance)),
+        Profile::Cables => What::Fault(trouble::of_exchanged_cables(chance)),
         Profile::Link => match chance.below(4) {
             0 => What::Reconnect,
             1 => What::Unplug(chance.milliseconds(4_000)),

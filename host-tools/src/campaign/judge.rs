@@ -58,6 +58,8 @@ enum Open {
     Swapped(usize),
     /// This slave's information memory is faulty.
     Memory(usize),
+    /// These two slaves are at each other's places.
+    Recabled(usize, usize),
 }
 
 /// The monitor, and what it has to be told in this millisecond.
@@ -240,7 +242,18 @@ impl Judge {
             Fault::Sii(slave, SiiFault::Whole) => self.closes(now_ms, Open::Memory(slave)),
             Fault::Sii(slave, _) => self.opens(now_ms, Open::Memory(slave)),
             Fault::Refuse(..) => self.disturbed(now_ms, Some(REFUSAL_MS)),
-            Fault::Stall(lasts_ms)
+            // What exchanges two slaves puts them back too.
+            Fault::Recable(one, other) => {
+                let pair = Open::Recabled(one.min(other), one.max(other));
+                match self.open.contains(&pair) {
+                    true => self.closes(now_ms, pair),
+                    false => self.opens(now_ms, pair),
+                }
+            }
+            // Drives without new outputs stop by their own watchdogs, as without frames.
+            Fault::Mute(lasts_ms)
+            | Fault::Deaf(_, lasts_ms)
+            | Fault::Stall(lasts_ms)
             | Fault::Power(_, lasts_ms)
             | Fault::Silence(_, lasts_ms)
             | Fault::Mains(_, lasts_ms) => self.disturbed(now_ms, Some(lasts_ms)),
@@ -602,6 +615,9 @@ mod tests {
             "swap 2 ax2000",
             "sii 1 blank",
             "refuse 1 op 0x001A",
+            "recable 3 2",
+            "mute 400",
+            "deaf 4 400",
             "slip 2 10 50",
         ] {
             let mut judge = Judge::new(&config);

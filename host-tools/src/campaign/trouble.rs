@@ -56,6 +56,40 @@ pub(super) fn of_the_bus(chance: &mut Chance) -> String {
     }
 }
 
+/// The first of two terminals behind the drives, from 1.
+pub(super) const TERMINAL: u64 = 5;
+
+/// A fault of a terminal behind the drives, or of the outputs on the way to all slaves.
+pub(super) fn of_a_terminal(chance: &mut Chance) -> String {
+    let slave = TERMINAL + chance.below(2);
+    let lasts_ms = chance.milliseconds(LASTS_MAX_MS);
+    let code = chance.one_of(&CODES);
+    match chance.below(8) {
+        0 => format!("remove {slave}"),
+        1 => format!("insert {slave}"),
+        2 => format!("power {slave} {lasts_ms}"),
+        3 => format!("fall {slave} {} {code}", chance.one_of(&["init", "preop", "safeop"])),
+        4 => format!("crc {} {}", slave - 1, 1 + chance.below(100)),
+        5 => format!("cut {}", slave - 1),
+        6 => format!("deaf {slave} {lasts_ms}"),
+        _ => format!("mute {lasts_ms}"),
+    }
+}
+
+/// A fault of the cables of the second and the third drive, of their supply, or of the outputs on the way to them.
+pub(super) fn of_exchanged_cables(chance: &mut Chance) -> String {
+    let slave = 2 + chance.below(2);
+    let lasts_ms = chance.milliseconds(LASTS_MAX_MS);
+    match chance.below(8) {
+        0 | 1 => "recable 2 3".into(),
+        2 | 3 => format!("power {slave} {lasts_ms}"),
+        4 => format!("cut {}", slave - 1),
+        5 => "join".into(),
+        6 => format!("deaf {slave} {lasts_ms}"),
+        _ => format!("mute {lasts_ms}"),
+    }
+}
+
 /// The words that end a fault which does not end by itself.
 pub(super) fn end(words: &str) -> Option<String> {
     let mut parts = words.split(' ');
@@ -65,6 +99,7 @@ pub(super) fn end(words: &str) -> Option<String> {
         ("swap", slave) => Some(format!("swap {slave} ax2000")),
         ("slip" | "reverse" | "jump", slave) => Some(format!("stuck {slave} 0")),
         ("cut", _) => Some("join".to_owned()),
+        ("recable", _) => Some(words.to_owned()),
         _ => None,
     }
 }
@@ -116,11 +151,17 @@ mod tests {
     fn all_words_are_those_of_the_script() {
         let mut chance = Chance::new(1);
         for _ in 0..3_000 {
-            for words in [of_frames(&mut chance), of_the_bus(&mut chance), of_a_drive(&mut chance)] {
+            for words in [
+                of_frames(&mut chance),
+                of_the_bus(&mut chance),
+                of_a_drive(&mut chance),
+                of_a_terminal(&mut chance),
+                of_exchanged_cables(&mut chance),
+            ] {
                 let script: Script = format!("ms 1 {words}")
                     .parse()
                     .unwrap_or_else(|cause| panic!("{words}: {cause}"));
-                script.check(4).unwrap_or_else(|cause| panic!("{words}: {cause}"));
+                script.check(6).unwrap_or_else(|cause| panic!("{words}: {cause}"));
             }
         }
     }

@@ -28,8 +28,8 @@ mod tuning;
 mod vibration;
 
 pub use etherpen_segment::{
-    AlState, Branch, ClockOptions, DriveState, Fault, MailFault, MailStep, PlaceOptions, Product, ResolverFault,
-    SCRIPT_HELP, Script, SiiFault, SlaveKind, SlaveList, SlaveListError, SlaveState, parse_slaves,
+    AlState, Branch, ClockOptions, DriveState, Fault, MailFault, MailStep, OneTurn, PlaceOptions, Product,
+    ResolverFault, SCRIPT_HELP, Script, SiiFault, SlaveKind, SlaveList, SlaveListError, SlaveState, parse_slaves,
 };
 pub use faults::read_faults;
 pub use paper::{InkStroke, PEN_SPRING_MM};
@@ -304,6 +304,12 @@ impl Cell {
     #[must_use]
     pub fn outputs(&self, slave: usize) -> Option<Vec<u8>> {
         self.segment.outputs(slave)
+    }
+
+    /// A file that was written to a slave, from 1; `None` if there is no such file, or the slave has no files.
+    #[must_use]
+    pub fn file(&self, slave: usize, name: &str) -> Option<&[u8]> {
+        self.segment.file(slave, name)
     }
 
     /// The motors and the pen at present.

@@ -220,7 +220,7 @@ pub fn config_refusal(refusal: &ConfigRefusal) -> String {
                 "the configured dimensions do not form a valid robot ({cause}); correct [geometry] in etherpen.toml"
             )
         }
-        ConfigRefusal::Io(error) => format!("{}; correct [[io]] in etherpen.toml", io_error(error)),
+        ConfigRefusal::Io(error) => format!("{}; correct {} in etherpen.toml", io_error(error), io_table(error)),
         ConfigRefusal::NotInMode(now) => format!(
             "the configuration cannot be changed now: {}; disable the drives first",
             mode(*now)
@@ -247,7 +247,18 @@ fn io_refusal(io: u8, reason: IoRefusal) -> String {
     }
 }
 
-/// Why a named input or output of the configuration cannot be used.
+/// The table of the configuration in which an error is.
+const fn io_table(error: &IoError) -> &'static str {
+    match error {
+        IoError::TerminalSlave { .. }
+        | IoError::SameTerminal { .. }
+        | IoError::SameDevice { .. }
+        | IoError::DeviceOfAxis { .. } => "[[terminals]]",
+        _ => "[[io]]",
+    }
+}
+
+/// Why a named input or output of the configuration, or a terminal, cannot be used.
 pub fn io_error(error: &IoError) -> String {
     match *error {
         IoError::Name { io } => format!(
@@ -278,6 +289,33 @@ pub fn io_error(error: &IoError) -> String {
         }
         IoError::SameOutput { first, second } => {
             format!("io {} and io {} set the same output", one(first), one(second))
+        }
+        IoError::TerminalSlave {
+            terminal,
+            expected,
+            actual,
+        } => {
+            format!(
+                "terminal {}: slave is {actual}, allowed is 0 to {expected}",
+                one(terminal)
+            )
+        }
+        IoError::SameTerminal { first, second } => {
+            format!("terminal {} and terminal {} are at one place", one(first), one(second))
+        }
+        IoError::SameDevice { first, second } => {
+            format!(
+                "terminal {} and terminal {} expect the same device",
+                one(first),
+                one(second)
+            )
+        }
+        IoError::DeviceOfAxis { terminal, axis } => {
+            format!(
+                "terminal {} and axis {} expect the same device",
+                one(terminal),
+                one(axis)
+            )
         }
     }
 }

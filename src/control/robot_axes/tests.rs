@@ -3,7 +3,7 @@
 use super::*;
 use crate::drives::cia402::ControlWord;
 use crate::drives::io::IoTrigger;
-use crate::drives::{DriveKind, MemoryGroup, akd, ax2000, generic};
+use crate::drives::{DriveKind, MemoryGroup, PositionRange, akd, ax2000, generic};
 
 const TURN: i32 = 1 << 20;
 
@@ -29,6 +29,7 @@ fn drive(kind: DriveKind, mode: AxisMode) -> GroupDrive {
     GroupDrive {
         kind,
         mode,
+        range: PositionRange::WHOLE,
         operational: true,
         generation: 0,
     }
@@ -258,6 +259,16 @@ fn a_drive_that_is_not_in_op_or_in_another_mode_is_not_enabled() {
     axis.step(Some(other_mode), 0);
     let output = axis.output(&enabled(Demand::Velocity(1.0)));
     assert_eq!(output.control, ControlWord::SHUTDOWN, "on the way to power");
+    // Cycles count in a row: a drive that was in its mode meanwhile is waited for again.
+    other_mode.status = at(0).unwrap().status;
+    for _ in 0..3 {
+        for cycle in 0..10 {
+            axis.step(Some(other_mode), 0);
+            assert_eq!(axis.output(&enabled(Demand::Velocity(1.0))), waiting, "cycle {cycle}");
+        }
+        axis.step(at(0), 0);
+        assert_ne!(axis.output(&enabled(Demand::Velocity(1.0))).demand_digits, 0);
+    }
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use super::*;
 use crate::drives::cia402::ControlWord;
 use crate::drives::io::GroupDrive;
-use crate::drives::{DriveInput, MemoryGroup, ax2000};
+use crate::drives::{DriveInput, MemoryGroup, PositionRange, ax2000};
 use crate::motion::Setpoint;
 use crate::network::NetworkQueues;
 use core::task::Context;
@@ -80,6 +80,7 @@ fn rig() -> Rig {
     let drive = GroupDrive {
         kind: &ax2000::AX2000,
         mode: AxisMode::Velocity,
+        range: PositionRange::WHOLE,
         operational: true,
         generation: 0,
     };

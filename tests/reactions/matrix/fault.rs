@@ -84,7 +84,7 @@ fn unplugged(robot: &mut Robot) {
 }
 
 /// The rows.
-pub(super) static FAULTS: [Trouble; 25] = [
+pub(super) static FAULTS: [Trouble; 27] = [
     by_itself("one frame is lost", |robot| robot.inject(Fault::Lose)),
     by_itself("no frames for 20 ms", |robot| robot.inject(Fault::Stall(20))),
     by_itself("no frames for 500 ms", |robot| robot.inject(Fault::Stall(500))),
@@ -116,6 +116,13 @@ pub(super) static FAULTS: [Trouble; 25] = [
     .of_drives(&[DRIVE]),
     by_itself("a drive's processor stands still for 900 ms", |robot| {
         robot.inject(Fault::Processor(DRIVE, 900));
+    })
+    .of_drives(&[DRIVE]),
+    by_itself("no outputs reach the drives for 500 ms", |robot| {
+        robot.inject(Fault::Mute(500))
+    }),
+    by_itself("a drive takes no outputs for 500 ms", |robot| {
+        robot.inject(Fault::Deaf(DRIVE, 500));
     })
     .of_drives(&[DRIVE]),
     by_itself("a drive faults", |robot| robot.inject(Fault::Drive(DRIVE, 0x2310))).of_drives(&[DRIVE]),

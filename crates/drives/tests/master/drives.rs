@@ -3,7 +3,7 @@
 use super::fake::{FakeSegment, FakeSlave};
 use super::rig::{self, Bench, Drives, Next, run_with};
 use etherpen_drives::cia402::ControlWord;
-use etherpen_drives::{AxisMode, DriveOutput, DriveSettings, ax2000, generic};
+use etherpen_drives::{AxisMode, DriveOutput, DriveSettings, PositionRange, ax2000, generic};
 use etherpen_ethercat::error::BusError;
 use etherpen_ethercat::supervisor::{BusEvent, BusSetup, Step};
 use etherpen_ethercat::wire::coe::Object;
@@ -198,6 +198,47 @@ fn a_drive_in_position_mode_may_lack_everything_but_its_target() {
     let object = Object::new(0x6060, 0);
     let error = refusal(AxisMode::Position, FakeSegment::drives(4));
     assert_eq!(error, BusError::Range { object }, "the AX2000 has no such mode");
+}
+
+/// The generic drive in position mode with a first and a last position.
+fn drive_with_range(first: i32, last: i32) -> FakeSlave {
+    let mut slave = position_drive();
+    for (sub, end) in [(1, first), (2, last)] {
+        slave.objects.insert((0x607B, sub), end.to_le_bytes().to_vec());
+    }
+    slave
+}
+
+#[test]
+fn a_drive_in_position_mode_tells_the_range_of_its_targets_and_one_of_broken_turns_is_refused() {
+    const TURN: i32 = 1 << 20;
+    let range = |bench: &Bench<'_>| bench.exchange.plan().slaves[3].role.unwrap().layout.range();
+    let whole = || drive_with_range(i32::MIN, i32::MAX);
+    operational(AxisMode::Position, segment(position_drive), |bench| {
+        assert_eq!(range(bench), PositionRange::WHOLE, "it does not tell");
+    });
+    operational(AxisMode::Position, segment(whole), |bench| {
+        assert_eq!(range(bench), PositionRange::WHOLE);
+    });
+    // Equal drives may be set differently.
+    let mut drives = segment(whole);
+    drives.slaves[3] = drive_with_range(-TURN, TURN - 1);
+    operational(AxisMode::Position, drives, |bench| {
+        let turns = range(bench);
+        assert_eq!((turns.fold(TURN), turns.nearest(3 * TURN / 2)), (-TURN, -TURN / 2));
+    });
+    let mut drives = segment(whole);
+    drives.slaves[2] = drive_with_range(0, 3_599);
+    let expected = BusError::PositionRange {
+        expected: 1 << 20,
+        actual: 3_600,
+    };
+    assert_eq!(refusal_of(2, AxisMode::Position, drives), expected);
+    let mut drives = segment(whole);
+    drives.slaves[2] = drive_with_range(0, 3_599);
+    operational(AxisMode::Velocity, drives, |bench| {
+        assert_eq!(range(bench), PositionRange::WHOLE)
+    });
 }
 
 #[test]

@@ -59,8 +59,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             // A member may be missing because it could not be read.
             return Err(unread.unwrap_or(Failure::bus(Step::Identify)(error)));
         }
-        self.check_members().await?;
         self.choose_terminals();
+        self.check_members().await?;
         self.choose_exchange().await?;
         self.introduce_all().await;
         self.send_plan().await;
@@ -212,6 +212,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         self.generation = self.generation.wrapping_add(1);
         slave.generation = self.generation;
         slave.emergency = None;
+        self.check_terminal(number)?;
         let result = match self.reach_pre_operational(number).await {
             Ok(()) => self.configure(number).await,
             failed => failed,
@@ -252,6 +253,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
 
     /// Takes a slave from any state through INIT to PREOP with its mailbox set up, if it has one.
     pub(super) async fn reach_pre_operational(&mut self, number: usize) -> Result<(), Failure> {
+        if self.file.is_some_and(|file| file.number == number) {
+            self.forget_file();
+        }
         if self
             .slaves
             .get(number)
@@ -303,7 +307,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             true => self.setup.watchdog_ms,
             false => UNUSED_WATCHDOG_MS,
         };
-        if slave.is_terminal {
+        if slave.has_own_data() {
             self.find_own_data(number).await.map_err(at(Step::Objects))?;
         } else if let Some(device) = slave.device {
             let mut there = PreOperational::new(port, station, &mut slave.mailbox);
@@ -336,7 +340,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             .await
     }
 
-    /// Finds the process data of a terminal, and the values in them that the application wants.
+    /// Finds the process data of a slave that exchanges its own, and the values in them that the application wants.
     async fn find_own_data(&mut self, number: usize) -> Result<(), BusError> {
         let Self {
             port,
@@ -451,9 +455,12 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     }
 
     /// Takes all slaves in use out of OP: safe outputs, then SAFEOP, PREOP and INIT. A slave that does not follow is
-    /// left to its watchdog.
+    /// left to its watchdog; one whose file is being transferred stays in BOOT.
     pub(super) async fn shut_down(&mut self) {
-        self.forget_file();
+        let transferring = self.transferring().await;
+        if transferring.is_none() {
+            self.forget_file();
+        }
         self.send_safe_plan().await;
         self.port.wait_ms(SAFE_OUTPUTS_MS).await;
         for target in [AlState::SafeOperational, AlState::PreOperational, AlState::Init] {
@@ -462,7 +469,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                     continue;
                 };
                 let above = slave.report.state().is_some_and(|state| state as u8 > target as u8);
-                if !slave.is_used() || slave.condition == Condition::Lost || !above {
+                let is_left = transferring == Some(number);
+                if !slave.is_used() || slave.condition == Condition::Lost || !above || is_left {
                     continue;
                 }
                 if state::change(&mut self.port, slave.station(), target).await.is_ok() {

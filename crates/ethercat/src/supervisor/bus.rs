@@ -41,6 +41,8 @@ pub(super) struct OpenFile {
     pub(super) passed: usize,
     /// Whether the last packet has come or gone.
     pub(super) ended: bool,
+    /// When the last request for the file was carried out.
+    pub(super) used_ms: u32,
 }
 
 /// The slaves, and the queues to reach them.

@@ -3,12 +3,16 @@
 //! With BOOT, the slave is brought to INIT, gets the mailboxes that its information memory names for BOOT, and goes to
 //! BOOT; closing brings it back to INIT. Without, a slave in INIT is brought to PREOP and stays there.
 //!
-//! Invariant: one file is open at a time, and the supervisor's buffer holds at most one packet of it.
+//! Invariants: one file is open at a time, and the supervisor's buffer holds at most one packet of it; a slave in BOOT is
+//! not taken out of BOOT by a bring-up, a repair or a stop before its file is closed or abandoned.
 
 use super::super::configure::{discovery, information};
-use super::super::diagnostics::{FileRequest, PIECE_BYTES_MAX, Piece, ServiceError, ServiceReply, ServiceResult};
+use super::super::diagnostics::{
+    FileRequest, PIECE_BYTES_MAX, Piece, ServiceError, ServiceReply, ServiceRequest, ServiceResult,
+};
 use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
+use super::super::event::{BusEvent, Step};
 use super::super::foe::FileAccess;
 use super::super::mailbox::Mailbox;
 use super::super::slave::Condition;
@@ -17,6 +21,8 @@ use super::super::wire::read_u16;
 use super::super::wire::sii::{FixedPart, MailboxWindow, PROTOCOL_FOE, WORD_BOOTSTRAP_OUT};
 use super::bus::{Bus, OpenFile};
 
+/// After this pause between two requests for an open file, the file counts as abandoned, ms.
+const FILE_IDLE_MS: u32 = 10_000;
 /// Bytes of the four words that tell the mailboxes of BOOT.
 const BOOTSTRAP_LEN: usize = 8;
 
@@ -40,6 +46,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             packet: 0,
             passed: 0,
             ended: false,
+            used_ms: self.port.now_ms(),
         };
         // The slave leaves BOOT even when it refuses the file.
         self.file = Some(file);
@@ -151,6 +158,49 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         Ok(())
     }
 
+    /// Notes that a request for the open file was carried out.
+    pub(super) fn use_file(&mut self) {
+        let now_ms = self.port.now_ms();
+        if let Some(file) = self.file.as_mut() {
+            file.used_ms = now_ms;
+        }
+    }
+
+    /// Whether a request passes a packet of a file in BOOT on.
+    pub(super) fn transfers(&self, request: &ServiceRequest) -> bool {
+        let is_packet = matches!(
+            request,
+            ServiceRequest::ReadFile { .. } | ServiceRequest::WriteFile { .. }
+        );
+        is_packet && self.file.is_some_and(|file| file.bootstrap)
+    }
+
+    /// The slave whose file is being transferred in BOOT: its memory may stay half written if its state is changed. A slave
+    /// that has left BOOT has none, nor has one whose file nobody has asked for in [`FILE_IDLE_MS`]. A slave that does not
+    /// answer may still be in BOOT.
+    pub(super) async fn transferring(&mut self) -> Option<usize> {
+        let file = self.file.filter(|file| file.bootstrap)?;
+        let is_in_use = self.port.now_ms().wrapping_sub(file.used_ms) < FILE_IDLE_MS;
+        let station = self.slaves.get(file.number).filter(|_| is_in_use)?.station();
+        let report = state::report(&mut self.port, station).await;
+        let has_left = report.is_ok_and(|report| !report.is(AlState::Bootstrap));
+        (!has_left).then_some(file.number)
+    }
+
+    /// Refuses to bring a slave up whose file is being transferred.
+    pub(super) async fn refuse_for_file(&mut self, number: usize) {
+        let (position, step, error) = (number as u8, Step::Bootstrap, BusError::FileOpen);
+        let event = match self.is_terminal(number) {
+            true => BusEvent::TerminalRefused { position, step, error },
+            false => BusEvent::Refused {
+                position: Some(position),
+                step,
+                error,
+            },
+        };
+        self.emit(event).await;
+    }
+
     /// Forgets the open file: its slave begins anew.
     pub(super) fn forget_file(&mut self) {
         self.file = None;
@@ -166,7 +216,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         if slave.is_used() {
             slave.condition = Condition::Parked;
         } else {
-            slave.process_data = None;
+            (slave.process_data, slave.own_data) = (None, None);
         }
         information::take(port, station).await;
         let mut words = [0; BOOTSTRAP_LEN];

@@ -1,7 +1,8 @@
-//! Identity of the members: whether the slave at a member's place is the one that the application expects there.
+//! Identity of the slaves in use: whether the slave at a place is the one that the application expects there.
 //!
-//! Two equal drives whose cables are exchanged would move each other's axes. What tells them apart is read before a
-//! member leaves INIT: at bring-up for all members together, and in a repair for the slave that has returned.
+//! Two equal drives whose cables are exchanged would move each other's axes, two equal terminals would exchange their
+//! contacts. What tells them apart is read before a slave leaves INIT: at bring-up for all of them together, and in a repair
+//! for the slave that has returned. A member that differs ends the bring-up; a terminal that differs is refused alone.
 //!
 //! Invariant: a slave that differs from what is expected at its place is not used; the refusal names the place, and the
 //! other one if the slave there is the expected one, or the slave here is expected there.
@@ -17,25 +18,30 @@ use super::Failure;
 use super::bus::Bus;
 
 impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAVES, MESSAGE> {
-    /// What is expected of a slave as a member.
+    /// What is expected of a slave as a member or as a terminal.
     fn expected(&self, slave: &Slave<F>) -> ExpectedIdentity {
-        let expected = |member| F::expected_identity(&self.setup.settings, member);
-        slave.member.map_or(ExpectedIdentity::ANY, expected)
+        if let Some(member) = slave.member {
+            return F::expected_identity(&self.setup.settings, member);
+        }
+        let mut places = self.setup.identities.iter().filter(|_| slave.is_terminal);
+        let here = places.find(|place| u16::from(place.slave) == slave.position);
+        here.map_or(ExpectedIdentity::ANY, |place| place.identity)
     }
 
-    /// Compares all members with what is expected of them.
+    /// Reads what tells the slaves in use apart, and compares all members with what is expected of them.
     pub(super) async fn check_members(&mut self) -> Result<(), Failure> {
         if self.slaves.iter().all(|slave| self.expected(slave).is_any()) {
             return Ok(());
         }
         for number in 0..self.slaves.len() {
-            let Some(slave) = self.slaves.get(number).filter(|slave| slave.device.is_some()) else {
+            let may_be_compared = |slave: &&Slave<F>| slave.device.is_some() || slave.is_terminal;
+            let Some(slave) = self.slaves.get(number).filter(may_be_compared) else {
                 continue;
             };
             let (position, station, identity) = (slave.position, slave.station(), slave.identity());
             let known = match self.known(station, identity).await {
                 Ok(known) => known,
-                Err(error) if slave_is_used(&self.slaves, number) => {
+                Err(error) if is_member(&self.slaves, number) => {
                     return Err(Failure::of(position, Step::Identify)(error));
                 }
                 Err(_) => continue,
@@ -46,28 +52,49 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 slave.switch = switches.then_some(known.switch);
             }
         }
-        for slave in &self.slaves {
+        for slave in self.slaves.iter().filter(|slave| slave.member.is_some()) {
             self.compare(slave, &slave.known)
                 .map_err(Failure::of(slave.position, Step::Identify))?;
         }
         Ok(())
     }
 
-    /// Compares the slave at a station address, which has returned to a slave's place, with what is expected there.
+    /// Compares the slave at a station address, which has returned to a slave's place, with what is expected there. Returns
+    /// its identity as far as it was read.
     pub(super) async fn check_returned(
         &mut self,
         number: usize,
         station: u16,
         identity: Identity,
-    ) -> Result<(), BusError> {
+    ) -> Result<KnownIdentity, BusError> {
+        let unread = KnownIdentity {
+            identity,
+            ..KnownIdentity::default()
+        };
         let Some(slave) = self.slaves.get(number).copied() else {
-            return Ok(());
+            return Ok(unread);
         };
         if self.expected(&slave).is_any() {
-            return Ok(());
+            return Ok(unread);
         }
         let known = self.known(station, identity).await?;
-        self.compare(&slave, &known)
+        self.compare(&slave, &known)?;
+        Ok(known)
+    }
+
+    /// Compares a terminal with what is expected of it, as last read.
+    pub(super) fn check_terminal(&self, number: usize) -> Result<(), Failure> {
+        match self.slaves.get(number).filter(|slave| slave.is_terminal) {
+            Some(slave) => self
+                .compare(slave, &slave.known)
+                .map_err(Failure::of(slave.position, Step::Identify)),
+            None => Ok(()),
+        }
+    }
+
+    /// Whether the slave at a place was another one than is expected there: it is not waited for.
+    pub(super) fn is_unwanted(&self, slave: &Slave<F>) -> bool {
+        self.compare(slave, &slave.known).is_err()
     }
 
     /// Reads what the members' expectations compare.
@@ -113,7 +140,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return Ok(());
         };
         let others = || self.slaves.iter().filter(|other| other.position != slave.position);
-        let is_wanted = |other: &&Slave<F>| other.device.is_some() && expected.difference(&other.known).is_none();
+        let is_wanted = |other: &&Slave<F>| {
+            (other.device.is_some() || other.is_terminal) && expected.difference(&other.known).is_none()
+        };
         let is_owner = |other: &&Slave<F>| {
             let expected = self.expected(other);
             !expected.is_any() && expected.difference(known).is_none()
@@ -128,6 +157,6 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     }
 }
 
-fn slave_is_used<F: SlaveFactory>(slaves: &[Slave<F>], number: usize) -> bool {
+fn is_member<F: SlaveFactory>(slaves: &[Slave<F>], number: usize) -> bool {
     slaves.get(number).is_some_and(|slave| slave.member.is_some())
 }

@@ -70,6 +70,18 @@ pub(super) enum Interruption {
     Command,
 }
 
+/// Kind of work: what may end it, and what has to wait for it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Work {
+    /// Bring-up or repair. Requests are answered by [`ServiceError::Busy`]; a start, a stop and a lost link of the port end
+    /// it.
+    Exclusive,
+    /// A request, or a look at the bus. A start and a stop end it.
+    Background,
+    /// A packet of a file in BOOT. A start waits for the packet: the slave could not tell how much of it has come.
+    Transfer,
+}
+
 /// The incoming ends of the supervisor's queues.
 pub(super) struct Inbox<'a, F: SlaveFactory> {
     pub(super) observations: Consumer<'a, Observation>,
@@ -114,14 +126,11 @@ impl<F: SlaveFactory> Inbox<'_, F> {
         self.seen.map_or(0, |seen| seen.al.slaves)
     }
 
-    /// Runs `work` as long as the bus is as `expected` and no command makes the work pointless.
-    ///
-    /// With `refuse`, as in bring-up and repair, requests that arrive meanwhile are answered by [`ServiceError::Busy`],
-    /// and the work ends when the port loses its link.
+    /// Runs `work` of a `kind` as long as the bus is as `expected` and no command makes the work pointless.
     pub(super) async fn guard<T>(
         &mut self,
         mut expected: Expectation,
-        refuse: bool,
+        kind: Work,
         mut work: Pin<&mut impl Future<Output = T>>,
     ) -> Result<T, Interruption> {
         self.suspicion_ms = 0;
@@ -138,20 +147,22 @@ impl<F: SlaveFactory> Inbox<'_, F> {
             {
                 expected.allowed &= !register::AL_ERROR_BIT;
             }
-            if refuse && self.answers.ready() && self.services.dequeue().is_some() {
+            let is_exclusive = kind == Work::Exclusive;
+            if is_exclusive && self.answers.ready() && self.services.dequeue().is_some() {
                 // There is room; it was just checked.
                 let _ = self.answers.enqueue(Err(ServiceError::Busy));
             }
-            if refuse && self.port.is_down() {
+            if is_exclusive && self.port.is_down() {
                 return Poll::Ready(Err(Interruption::Bus));
             }
             if self.suspicion_ms >= WORK_SUSPICION_MS {
                 return Poll::Ready(Err(Interruption::Bus));
             }
-            if matches!(front(&self.commands), Some(BusCommand::Start(_) | BusCommand::Stop)) {
-                return Poll::Ready(Err(Interruption::Command));
+            match front(&self.commands) {
+                Some(BusCommand::Start(_)) if kind == Work::Transfer => Poll::Pending,
+                Some(BusCommand::Start(_) | BusCommand::Stop) => Poll::Ready(Err(Interruption::Command)),
+                _ => Poll::Pending,
             }
-            Poll::Pending
         })
         .await
     }

@@ -7,7 +7,7 @@
 //! ([`diagnostics`](super::diagnostics)), even on a bus that was not brought up. Every failed step is reported with
 //! slave, step and reason.
 //!
-//! Invariants: a slave in use is only repaired on command; a slave is only taken back if it is the product that was
+//! Invariants: a slave whose file is being transferred in BOOT is left there, whatever is commanded; a slave in use is only repaired on command; a slave is only taken back if it is the product that was
 //! there before; every wait ends; while work on one slave is in progress, a slave that stops answering or leaves OP is
 //! detected within 100 ms. One that leaves OP with its error flag set is detected after that work, if a slave that waits
 //! for its own repair shows that flag already: the answers of all slaves come as one sum.
@@ -37,7 +37,7 @@ use bus::Bus;
 use core::pin::pin;
 use heapless::Vec;
 use heapless::spsc::{Consumer, Producer};
-use inbox::{Expectation, Inbox, Interruption, SUSPICION_MS, WORK_SUSPICION_MS};
+use inbox::{Expectation, Inbox, Interruption, SUSPICION_MS, WORK_SUSPICION_MS, Work};
 
 /// Pause between two inspections for one suspicion, ms.
 const INSPECTION_PAUSE_MS: u32 = 50;
@@ -232,16 +232,21 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             && self.retries < RETRIES_MAX
             && there >= self.bus.fewest_slaves().max(1)
             && !self.inbox.port.is_down()
+            && self.bus.transferring().await.is_none()
         {
             self.retries += 1;
             self.start().await;
         }
     }
 
-    /// Brings the whole bus up.
+    /// Brings the whole bus up, unless a slave's file is being transferred.
     async fn start(&mut self) {
         (self.phase, self.changed_ms) = (Phase::Failed, None);
         self.slaves_sorted = self.inbox.slaves();
+        if let Some(number) = self.bus.transferring().await {
+            self.bus.refuse_for_file(number).await;
+            return;
+        }
         if self.link_missing_after_wait().await {
             // A command that arrived meanwhile is carried out instead.
             if !self.inbox.commands.ready() {
@@ -335,28 +340,28 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
     async fn find_all(&mut self) -> Result<Result<(), Failure>, Interruption> {
         let Self { bus, inbox, .. } = self;
         let work = pin!(bus.find_all());
-        inbox.guard(Expectation::ANYTHING, true, work).await
+        inbox.guard(Expectation::ANYTHING, Work::Exclusive, work).await
     }
 
     async fn set_up_clocks(&mut self) -> Result<Result<(), Failure>, Interruption> {
         let Self { bus, inbox, .. } = self;
         let expected = bus.expectation(Some(SLAVES));
         let work = pin!(bus.set_up_clocks());
-        inbox.guard(expected, true, work).await
+        inbox.guard(expected, Work::Exclusive, work).await
     }
 
     async fn reach_safe_operational(&mut self, number: usize) -> Result<Result<(), Failure>, Interruption> {
         let Self { bus, inbox, .. } = self;
         let expected = bus.expectation(Some(number));
         let work = pin!(bus.reach_safe_operational(number));
-        inbox.guard(expected, true, work).await
+        inbox.guard(expected, Work::Exclusive, work).await
     }
 
     async fn reach_operational(&mut self, number: usize) -> Result<Result<(), Failure>, Interruption> {
         let Self { bus, inbox, .. } = self;
         let expected = bus.expectation(Some(number));
         let work = pin!(bus.reach_operational(number));
-        inbox.guard(expected, true, work).await
+        inbox.guard(expected, Work::Exclusive, work).await
     }
 
     /// Watches the bus for one millisecond.
@@ -396,7 +401,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             };
             let result = {
                 let work = pin!(bus.rescan());
-                inbox.guard(expected, false, work).await
+                inbox.guard(expected, Work::Background, work).await
             };
             bus.clocks.hold(false);
             bus.send_plan().await;
@@ -429,17 +434,22 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         let Self { bus, inbox, .. } = self;
         let work = pin!(bus.check_mailbox());
         // After an interruption the mailbox is read again in the next round.
-        let _ = inbox.guard(expected, false, work).await;
+        let _ = inbox.guard(expected, Work::Background, work).await;
     }
 
     /// Brings every slave in use that is not in OP back to OP.
     async fn recover(&mut self) {
         self.inspect_all().await;
+        let transferring = self.bus.transferring().await;
         for number in 0..self.bus.slaves.len() {
             let Some(slave) = self.bus.slaves.get(number).copied() else {
                 continue;
             };
             if !slave.is_used() || slave.condition == Condition::Operational {
+                continue;
+            }
+            if transferring == Some(number) {
+                self.bus.refuse_for_file(number).await;
                 continue;
             }
             match self.repair_guarded(number).await {
@@ -473,7 +483,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             expected.slaves = Some(there);
             let result = {
                 let work = pin!(bus.repair(number));
-                inbox.guard(expected, true, work).await
+                inbox.guard(expected, Work::Exclusive, work).await
             };
             bus.work_on(None).await;
             match result {
@@ -507,9 +517,13 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             Expectation::ANYTHING
         };
         let seen = inbox.seen;
+        let kind = match bus.transfers(&request) {
+            true => Work::Transfer,
+            false => Work::Background,
+        };
         let result = {
             let work = pin!(bus.carry_out(&request, seen, running));
-            inbox.guard(expected, false, work).await
+            inbox.guard(expected, kind, work).await
         };
         if bus.is_worked_on() {
             bus.work_on(None).await;

@@ -2,22 +2,25 @@
 //!
 //! A slave may have kept its address and only left OP. Or it was switched off and is in INIT without an address: at its
 //! old place, or at another place if a slave was plugged in or is still missing before it. The order of the slaves that
-//! kept their addresses shows between which of them it belongs.
+//! kept their addresses shows between which of them it belongs. Or it returned at another's place, was taken for an extra
+//! slave there, and was put back with power: its serial number shows that.
 //!
 //! Invariant: a slave is only taken back at its place in the order, with the expected product, and with a serial number
 //! that does not belong to another slave of this bus.
 
 use super::super::clock;
 use super::super::configure::discovery::{STATION_BASE, STATION_TEMPORARY};
+use super::super::configure::identification::KnownIdentity;
 use super::super::configure::{discovery, information};
 use super::super::driver::SlaveFactory;
 use super::super::error::{BusError, IdentityProperty};
 use super::super::event::Step;
-use super::super::slave::Slave;
-use super::super::state::{self, AlState};
+use super::super::slave::{Condition, Slave};
+use super::super::state::{self, AlReport, AlState};
 use super::super::wire::sii::{FixedPart, Identity};
 use super::Failure;
 use super::bus::Bus;
+use core::ops::Range;
 use heapless::Vec;
 
 /// Most places of a chain that are searched.
@@ -109,6 +112,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return Ok(());
         };
         let at = |step| Failure::of(slave.position, step);
+        if let Some(extra) = self.extra_with_serial_of(number, places) {
+            return self.take_back_extra(number, extra).await.map_err(at(Step::Identify));
+        }
         let strangers = self.strangers_between(number, places);
         let missing = self.missing_between(number, places);
         // With all of them there, each has to be at its place.
@@ -119,13 +125,15 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             let is_its_place = by_order.is_none_or(|wanted| wanted == rank);
             let is_known = is_its_place && (by_order.is_some() || self.is_only_one(&slave, &missing));
             let fixed = self.identify(*place, places).await.map_err(at(Step::Identify))?;
-            let mut same = self.is_same(&slave, &fixed.identity);
+            let mut same = self.is_same(&slave, &fixed.identity).map(|()| slave.known);
             if same.is_ok() && is_its_place {
                 same = self.check_returned(number, STATION_TEMPORARY, fixed.identity).await;
             }
             match same {
-                Ok(()) if is_known || (is_elsewhere && has_serial_of(&slave, &fixed.identity)) => {
+                Ok(known) if is_known || (is_elsewhere && has_serial_of(&slave, &fixed.identity)) => {
+                    self.confirm_mark(*place, places).await.map_err(at(Step::Identify))?;
                     self.clocks.was_off(number);
+                    self.take_place(number, fixed, known);
                     return self.name(slave.station()).await.map_err(at(Step::Address));
                 }
                 Err(error) if is_its_place => other = Some(error),
@@ -139,6 +147,49 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 expected: self.slaves.len() as u16,
                 actual: places.len() as u16,
             })),
+        }
+    }
+
+    /// The extra slave between a lost one's neighbours that has its serial number: it returned at another place, where it
+    /// got a number of its own, and was then put back with power.
+    fn extra_with_serial_of(&self, number: usize, places: &Places) -> Option<usize> {
+        let lost = self.slaves.get(number)?;
+        let between = places.get(self.between(number, places))?;
+        let is_the_lost_one = |extra: &Slave<F>| {
+            let (extra, lost) = (extra.identity(), lost.identity());
+            (extra.vendor, extra.product) == (lost.vendor, lost.product)
+        };
+        let mut extras = (0..).zip(&self.slaves).skip(self.ordered.max(number + 1));
+        let extra = extras.find(|(_, extra)| {
+            let is_it = !extra.is_used() && has_serial_of(lost, &extra.identity()) && is_the_lost_one(extra);
+            is_it && between.contains(&extra.station())
+        });
+        extra.map(|(extra, _)| extra)
+    }
+
+    /// Gives an extra slave the address of the lost one that it is.
+    async fn take_back_extra(&mut self, number: usize, extra: usize) -> Result<(), BusError> {
+        let (Some(lost), Some(found)) = (self.slaves.get(number).copied(), self.slaves.get(extra).copied()) else {
+            return Ok(());
+        };
+        let known = self.check_returned(number, found.station(), found.identity()).await?;
+        discovery::rename(&mut self.port, found.station(), lost.station()).await?;
+        self.clocks.was_off(number);
+        self.take_place(number, found.fixed, known);
+        if let Some(extra) = self.slaves.get_mut(extra) {
+            (extra.condition, extra.report) = (Condition::Lost, AlReport::default());
+        }
+        self.introduce(extra).await;
+        Ok(())
+    }
+
+    /// Notes the slave that has taken the place of one that was not wanted there.
+    fn take_place(&mut self, number: usize, fixed: FixedPart, known: KnownIdentity) {
+        if let Some(slave) = self.slaves.get_mut(number) {
+            slave.known = known;
+            if slave.fixed.identity != fixed.identity {
+                (slave.fixed, slave.device) = (fixed, F::by_identity(&fixed.identity));
+            }
         }
     }
 
@@ -168,8 +219,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         self.number_of(station).filter(|number| *number < self.ordered)
     }
 
-    /// Places of slaves without an address of this bus, between a slave's neighbours; anywhere for an extra slave.
-    pub(super) fn strangers_between(&self, number: usize, places: &Places) -> Vec<u16, PLACES_MAX> {
+    /// The places between a slave's neighbours; all for an extra slave.
+    fn between(&self, number: usize, places: &Places) -> Range<usize> {
         let (mut first, mut last) = (0, places.len());
         if number < self.ordered {
             let rank = |station: &u16| self.rank_of(*station);
@@ -180,9 +231,15 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 .iter()
                 .position(|there| rank(there).is_some_and(|there| there > number));
             first = before.map_or(first, |place| place + 1);
-            last = after.unwrap_or(last);
+            last = after.unwrap_or(last).max(first);
         }
-        let between = (0_u16..).zip(places).take(last).skip(first);
+        first..last
+    }
+
+    /// Places of slaves without an address of this bus, between a slave's neighbours; anywhere for an extra slave.
+    pub(super) fn strangers_between(&self, number: usize, places: &Places) -> Vec<u16, PLACES_MAX> {
+        let between = self.between(number, places);
+        let between = (0_u16..).zip(places).take(between.end).skip(between.start);
         between
             .filter(|(_, there)| self.number_of(**there).is_none())
             .map(|(place, _)| place)
@@ -217,7 +274,23 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     /// returned since the places were read shifts them. Then another slave has got the address, and gets back the one
     /// that it had.
     pub(super) async fn mark(&mut self, place: u16, places: &Places) -> Result<(), BusError> {
-        let there = match discovery::assign_station(&mut self.port, place, STATION_TEMPORARY).await {
+        let assigned = discovery::assign_station(&mut self.port, place, STATION_TEMPORARY).await;
+        self.look_for_mark(place, places, assigned).await
+    }
+
+    /// Looks whether the slave with the temporary address is still where it was marked, before it gets another one: with
+    /// power, it keeps the mark when its cables are put elsewhere. Takes the mark back if not.
+    pub(super) async fn confirm_mark(&mut self, place: u16, places: &Places) -> Result<(), BusError> {
+        self.look_for_mark(place, places, Ok(())).await
+    }
+
+    async fn look_for_mark(
+        &mut self,
+        place: u16,
+        places: &Places,
+        assigned: Result<(), BusError>,
+    ) -> Result<(), BusError> {
+        let there = match assigned {
             Ok(()) => self.settled_places().await,
             Err(error) => Err(error),
         };
@@ -228,16 +301,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         };
         self.name(station).await?;
         let there = there?;
-        Err(match there.get(usize::from(place)) {
-            Some(station) if there.len() == places.len() => BusError::Station {
-                expected: STATION_TEMPORARY,
-                actual: *station,
-            },
-            _ => BusError::SlaveCount {
-                expected: places.len() as u16,
-                actual: there.len() as u16,
-            },
-        })
+        Err(other_chain(place, places, &there))
     }
 
     /// The address that the slave with the temporary one had before slaves returned in front of it; 0 if it had none, or
@@ -266,7 +330,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     /// Whether a slave with this identity may take a slave's place.
     pub(super) fn is_same(&self, slave: &Slave<F>, identity: &Identity) -> Result<(), BusError> {
         let (old, new) = (slave.identity(), identity);
-        if (old.vendor, old.product) != (new.vendor, new.product) {
+        if (old.vendor, old.product) != (new.vendor, new.product) && !self.is_unwanted(slave) {
             return Err(BusError::Identity {
                 expected: old.product,
                 actual: new.product,
@@ -350,14 +414,37 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     }
 }
 
-/// Whether the slave at a place, and no other, has got the temporary address, and all others are where they were. One
-/// that was exchanged meanwhile has lost its address.
+/// Whether the slave at a place, and no other, has got the temporary address, and all others are where they were. Where
+/// one has lost its address meanwhile, slaves may have changed places, and the order tells nothing.
 fn is_marked(place: u16, places: &Places, there: &Places) -> bool {
     let is_as_before = |(number, (before, now)): (usize, (&u16, &u16))| match number == usize::from(place) {
         true => *now == STATION_TEMPORARY,
-        false => now == before || *now == 0,
+        false => now == before,
     };
     places.len() == there.len() && places.iter().zip(there).enumerate().all(is_as_before)
+}
+
+/// How a chain in which a mark was not found as it was set differs from the one before.
+fn other_chain(place: u16, places: &Places, there: &Places) -> BusError {
+    if there.len() != places.len() {
+        return BusError::SlaveCount {
+            expected: places.len() as u16,
+            actual: there.len() as u16,
+        };
+    }
+    let actual = there.get(usize::from(place)).copied().unwrap_or(0);
+    let mut others = places.iter().zip(there).enumerate();
+    let other = others.find(|(number, (before, now))| *number != usize::from(place) && before != now);
+    match other.filter(|_| actual == STATION_TEMPORARY) {
+        Some((_, (expected, actual))) => BusError::Station {
+            expected: *expected,
+            actual: *actual,
+        },
+        None => BusError::Station {
+            expected: STATION_TEMPORARY,
+            actual,
+        },
+    }
 }
 
 /// Whether an identity has a slave's own serial number.

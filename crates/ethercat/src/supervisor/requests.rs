@@ -8,18 +8,19 @@
 use super::super::acyclic::REGISTER_BYTES_MAX;
 use super::super::coe::ObjectDictionary;
 use super::super::configure::discovery::STATION_BASE;
-use super::super::configure::information;
+use super::super::configure::{information, own_data};
 use super::super::cyclic::Observation;
 use super::super::diagnostics::{
     BusInfo, Name, PIECE_BYTES_MAX, Piece, ServiceError, ServiceReply, ServiceRequest, ServiceResult, SlaveInfo,
 };
-use super::super::driver::SlaveFactory;
+use super::super::driver::{Direction, SlaveFactory};
 use super::super::error::BusError;
-use super::super::process_data;
+use super::super::mailbox::Mailbox;
 use super::super::slave::Condition;
 use super::super::state::{self, AlState};
 use super::super::wire::coe::Object;
 use super::super::wire::register;
+use super::super::wire::sii::PROTOCOL_COE;
 use super::bus::Bus;
 
 impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAVES, MESSAGE> {
@@ -30,7 +31,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         seen: Option<Observation>,
         running: bool,
     ) -> ServiceResult {
-        if !running {
+        // A slave that is plugged in does not end a transfer.
+        if !running && self.transferring().await.is_none() {
             self.know_all().await?;
         }
         let number = usize::from(request.slave().unwrap_or(0));
@@ -57,8 +59,16 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 }
                 opened
             }
-            ServiceRequest::ReadFile { .. } => self.read_file(number).await,
-            ServiceRequest::WriteFile { piece, last, .. } => self.write_file(number, piece, *last).await,
+            ServiceRequest::ReadFile { .. } => {
+                let piece = self.read_file(number).await;
+                self.use_file();
+                piece
+            }
+            ServiceRequest::WriteFile { piece, last, .. } => {
+                let written = self.write_file(number, piece, *last).await;
+                self.use_file();
+                written
+            }
             ServiceRequest::CloseFile { .. } => {
                 self.close_file().await?;
                 Ok(ServiceReply::Done)
@@ -181,7 +191,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             }
             _ => None,
         };
-        let share = process_data::cyclic_slave(&slave);
+        let (output_bytes, input_bytes) = self.exchanged(number, speaks).await;
         // To ask is to write AL control: never while the slave may move a motor or set an output.
         let may_ask = matches!(report.state(), Some(AlState::Init | AlState::PreOperational));
         let switch = match slave.switch {
@@ -205,11 +215,32 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             mailbox_out: slave.fixed.mailbox_out,
             mailbox_in: slave.fixed.mailbox_in,
             protocols: slave.fixed.protocols,
-            output_bytes: share.output_length,
-            input_bytes: share.input_length,
+            output_bytes,
+            input_bytes,
             ports: self.ports(number),
             clock: self.clock(number, station).await?,
             emergency: slave.emergency,
+        })
+    }
+
+    /// Bytes of outputs and inputs that a slave exchanges, or would exchange in SAFEOP if it has no driver. `speaks` if its
+    /// mailbox works in its present state; the SII has to be the master's.
+    async fn exchanged(&mut self, number: usize, speaks: bool) -> (u16, u16) {
+        let Self { port, slaves, .. } = self;
+        let Some(slave) = slaves.get_mut(number) else {
+            return (0, 0);
+        };
+        let is_known = (slave.process_data, slave.own_data) != (None, None);
+        if is_known || !slave.has_own_data() {
+            return slave.lengths();
+        }
+        let has_objects = slave.fixed.protocols & PROTOCOL_COE != 0 && slave.mailbox != Mailbox::default();
+        let station = slave.station();
+        let mailbox = (speaks && has_objects).then_some(&mut slave.mailbox);
+        let data = own_data::find(port, station, mailbox, |_, _, _| {}).await;
+        // A slave that does not describe its process data exchanges none.
+        data.map_or((0, 0), |data| {
+            (data.length(Direction::Outputs), data.length(Direction::Inputs))
         })
     }
 

@@ -63,6 +63,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             .iter()
             .position(|slave| belongs_here(slave) && self.is_same(slave, &fixed.identity).is_ok());
         let is_awaited = self.slaves.iter().any(|slave| slave.is_used() && belongs_here(slave));
+        self.confirm_mark(place as u16, places).await?;
         let (named, is_extra) = match returned {
             Some(number) => (self.readdress(number).await?, false),
             None if is_awaited => {

@@ -85,7 +85,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
 
     fn forget_process_data(&mut self, number: usize) {
         if let Some(slave) = self.slaves.get_mut(number) {
-            slave.process_data = None;
+            (slave.process_data, slave.own_data) = (None, None);
         }
     }
 
@@ -97,7 +97,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let station = slave.station();
         // The process data of another master are not known.
         let from = match from {
-            Some(AlState::SafeOperational) if slave.device.is_some() && slave.process_data.is_none() => {
+            Some(AlState::SafeOperational) if (slave.process_data, slave.own_data) == (None, None) => {
                 state::change(&mut self.port, station, AlState::PreOperational).await?;
                 Some(AlState::PreOperational)
             }
@@ -123,9 +123,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         self.send_plan().await;
         match self.slaves.get(number).copied() {
             Some(slave) if !slave.is_used() => {
-                if slave.process_data.is_some() {
-                    self.await_inputs(&slave).await?;
-                }
+                self.await_inputs(&slave).await?;
                 state::change(&mut self.port, station, AlState::Operational).await?;
             }
             _ => self.reach_operational(number).await?,

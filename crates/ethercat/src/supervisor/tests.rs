@@ -56,6 +56,8 @@ impl Device {
 /// What is around the supervisor: slaves, critical side and application.
 struct Outside {
     chain: Vec<Device>,
+    /// The chain as it is put together just before a slave is addressed by its place.
+    rearranged: Option<Vec<Device>>,
     /// The slave that is switched off as soon as a slave is addressed by its place.
     switched_off: Option<usize>,
     /// The slave that is plugged in at the end of the chain at the same time.
@@ -71,6 +73,7 @@ impl Outside {
         let (exchange, supervisor, application) = Box::leak(Box::new(BusQueues::new())).split();
         let outside = Self {
             chain: chain.to_vec(),
+            rearranged: None,
             switched_off: None,
             plugged_in: None,
             exchange,
@@ -94,6 +97,11 @@ impl Outside {
         let (command, address, mut data) = (request.command, request.address, request.data.clone());
         let register = address.register();
         let mut working_counter = 0;
+        if command == Command::Apwr
+            && let Some(chain) = self.rearranged.take()
+        {
+            self.chain = chain;
+        }
         for (place, device) in (0..).zip(&mut self.chain) {
             let is_addressed = match command {
                 Command::Brd | Command::Bwr => true,
@@ -284,6 +292,41 @@ fn a_mark_that_another_slave_has_got_is_taken_back_also_if_as_many_slaves_are_th
     };
     assert_eq!(outside.run(bus.mark(2, &places)), Err(expected));
     assert_eq!(outside.stations(), [STATION_BASE + 1, 0, 0]);
+}
+
+#[test]
+fn a_mark_is_taken_back_where_another_slave_has_lost_its_address_meanwhile() {
+    let chain = [STATION_BASE, STATION_BASE + 1, 0].map(Device::at);
+    let (mut outside, mut bus) = Outside::with_bus(&chain);
+    bus.slaves = (0..3).map(Slave::at).collect();
+    bus.ordered = 3;
+    let places = outside.run(bus.places()).unwrap();
+    // The second and the third slave have changed places, and both were without power: the mark goes to the second one.
+    outside.rearranged = Some([STATION_BASE, 0, 0].map(Device::at).to_vec());
+    let expected = BusError::Station {
+        expected: STATION_BASE + 1,
+        actual: 0,
+    };
+    assert_eq!(outside.run(bus.mark(2, &places)), Err(expected));
+    assert_eq!(outside.stations(), [STATION_BASE, 0, 0]);
+}
+
+#[test]
+fn a_slave_that_was_put_elsewhere_with_its_mark_is_not_the_one_at_its_former_place() {
+    let chain = [STATION_BASE, 0, 0].map(Device::at);
+    let (mut outside, mut bus) = Outside::with_bus(&chain);
+    bus.slaves = (0..3).map(Slave::at).collect();
+    bus.ordered = 3;
+    let places = outside.run(bus.places()).unwrap();
+    assert_eq!(outside.run(bus.mark(1, &places)), Ok(()));
+    assert_eq!(outside.run(bus.confirm_mark(1, &places)), Ok(()));
+    outside.chain.swap(1, 2);
+    let expected = BusError::Station {
+        expected: STATION_TEMPORARY,
+        actual: 0,
+    };
+    assert_eq!(outside.run(bus.confirm_mark(1, &places)), Err(expected));
+    assert_eq!(outside.stations(), [STATION_BASE, 0, 0]);
 }
 
 #[test]

@@ -144,6 +144,14 @@ const OBJECTS: &[ObjectRow] = &[
         "Following error time out",
         &[(0, "Following error time out", Unsigned16, READ_WRITE, Live)],
     ),
+    record(
+        0x607B,
+        "Position range limit",
+        &[
+            (1, "Min position range limit", Integer32, READ, Live),
+            (2, "Max position range limit", Integer32, READ, Live),
+        ],
+    ),
     variable(
         0x607C,
         "Home offset",
@@ -300,6 +308,8 @@ pub(crate) fn get(servo: &Servo, index: u16, sub: u8) -> Option<i64> {
         0x6071 => demand.torque_digits.into(),
         0x6077 => shown.torque.into(),
         0x607A => demand.position.unwrap_or(shown.position).into(),
+        0x607B if sub == 1 => drive.position_range()?.0.into(),
+        0x607B => drive.position_range()?.1.into(),
         0x607C => drive.homing.offset.into(),
         0x6085 => drive.quick_stop_increments_s2.into(),
         0x6098 => drive.homing.method.into(),

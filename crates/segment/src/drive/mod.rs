@@ -13,7 +13,7 @@ pub(crate) mod resolver;
 pub(crate) mod servo;
 pub(crate) mod velocity_loop;
 
-pub use options::DriveOptions;
+pub use options::{DriveOptions, OneTurn};
 
 use homing::{Homing, Marks, Switch};
 use motor::{Action, Motor};
@@ -149,6 +149,8 @@ pub(crate) struct Drive {
     pub(crate) position_loop: PositionLoop,
     pub(crate) homing: Homing,
     pub(crate) probes: Probes,
+    /// Whether and how the position counts one motor turn only.
+    one_turn: Option<OneTurn>,
     /// Position at the motor's mark since the last homing, less the configured one, increments.
     home_shift: i64,
     emergencies: VecDeque<u16>,
@@ -180,6 +182,7 @@ impl Drive {
             resolver: Resolver::new(0.0, noise_seed),
             position_loop: PositionLoop::new(options.increments_per_revolution),
             homing: Homing::new(options.increments_per_revolution),
+            one_turn: None,
             home_shift: 0,
             probes: Probes::default(),
             emergencies: VecDeque::new(),
@@ -195,6 +198,23 @@ impl Drive {
         Self { profile, ..self }
     }
 
+    /// Makes a CiA 402 drive count one motor turn only.
+    pub(crate) fn count_one_turn(&mut self, one_turn: OneTurn) {
+        if self.profile == Profile::Cia402 {
+            self.one_turn = Some(one_turn);
+            self.position_loop.wrap_at(self.options.increments_per_revolution);
+        }
+    }
+
+    /// First and last position, object 0x607B; `None` if the drive does not have it.
+    pub(crate) fn position_range(&self) -> Option<(i32, i32)> {
+        match self.one_turn {
+            None => Some((i32::MIN, i32::MAX)),
+            Some(OneTurn::Told) => Some((0, self.options.increments_per_revolution.saturating_sub(1) as i32)),
+            Some(OneTurn::Untold) => None,
+        }
+    }
+
     /// Resets everything but the motor to its state after power-up.
     pub(crate) fn power_up(&mut self) {
         self.state = DriveState::SwitchOnDisabled;
@@ -204,6 +224,9 @@ impl Drive {
         self.control = 0;
         self.error_code = 0;
         self.position_loop = PositionLoop::new(self.options.increments_per_revolution);
+        self.one_turn
+            .into_iter()
+            .for_each(|one_turn| self.count_one_turn(one_turn));
         self.homing = Homing::new(self.options.increments_per_revolution);
         self.home_shift = 0;
         self.probes = Probes::default();
@@ -545,7 +568,13 @@ impl Drive {
         let turn = shaft_rad * self.increments_per_rad() + f64::from(self.options.zero_increments);
         match self.profile {
             Profile::Ax2000 => turn.floor().rem_euclid(increments) as i32,
-            Profile::Cia402 => (turn.floor() as i64).wrapping_add(self.home_shift) as i32,
+            Profile::Cia402 => {
+                let counted = (turn.floor() as i64).wrapping_add(self.home_shift);
+                match self.one_turn {
+                    Some(_) => counted.rem_euclid(increments as i64) as i32,
+                    None => counted as i32,
+                }
+            }
         }
     }
 }

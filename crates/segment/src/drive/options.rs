@@ -4,6 +4,16 @@ use super::homing::Switches;
 use super::resolver::ResolverError;
 use super::velocity_loop::VelocityLoop;
 
+/// How a drive counts its position when it counts one motor turn only, from 0 to its increments less 1. Its targets are
+/// in this range too, and are approached the shorter way round.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum OneTurn {
+    /// Object 0x607B tells the range.
+    Told,
+    /// The drive has no object 0x607B.
+    Untold,
+}
+
 /// Properties and settings of a servo drive and its motor; angles, speeds and decelerations are those of the motor.
 #[derive(Clone, Debug, PartialEq)]
 pub struct DriveOptions {

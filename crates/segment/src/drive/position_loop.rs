@@ -2,7 +2,8 @@
 //!
 //! A target that arrives in time is reached at the end of the interpolation period (object 0x60C2), in a straight line
 //! from where the interpolation is. When a target is missing, the drive goes on at the last speed for one period and then
-//! stands, until the next target or the watchdog of the process data. An encoder that moves faster than any motor stops
+//! stands, until the next target or the watchdog of the process data. Where the position counts one motor turn only, every
+//! difference is the shorter way round. An encoder that moves faster than any motor stops
 //! the drive at once. Objects, and the action on too great a following error: CiA 402.
 //!
 //! Invariant: whatever the targets are, the demanded position is finite.
@@ -20,6 +21,8 @@ pub(crate) struct PositionLoop {
     pub(crate) window: u32,
     /// How long it may be above, ms; object 0x6066.
     pub(crate) time_out_ms: u16,
+    /// Number of positions after which they repeat; `None` if they wrap at 32 bits.
+    wrap: Option<i32>,
     at_work: Option<Interpolation>,
     /// Last actual position, increments.
     actual: i32,
@@ -59,10 +62,16 @@ impl PositionLoop {
             period_index: -3,
             window: increments_per_revolution / 2,
             time_out_ms: 10,
+            wrap: None,
             at_work: None,
             actual: 0,
             outside_ms: 0,
         }
+    }
+
+    /// Makes the positions repeat after this many; 0 counts as 1.
+    pub(crate) fn wrap_at(&mut self, positions: u32) {
+        self.wrap = Some(i32::try_from(positions.max(1)).unwrap_or(i32::MAX));
     }
 
     /// Ends the interpolation: the drive does not follow targets.
@@ -79,12 +88,14 @@ impl PositionLoop {
     /// Demanded position, increments; `None` while no target is followed.
     pub(crate) fn demanded(&self) -> Option<i32> {
         let at_work = self.at_work.as_ref()?;
-        Some(at_work.origin.wrapping_add(at_work.at.round() as i64 as i32))
+        let demanded = at_work.origin.wrapping_add(at_work.at.round() as i64 as i32);
+        Some(self.wrap.map_or(demanded, |wrap| demanded.rem_euclid(wrap)))
     }
 
     /// Demanded less actual position, increments; 0 while no target is followed.
     pub(crate) fn error(&self, actual: i32) -> i32 {
-        self.demanded().map_or(0, |demanded| demanded.wrapping_sub(actual))
+        self.demanded()
+            .map_or(0, |demanded| nearest(demanded.wrapping_sub(actual), self.wrap))
     }
 
     /// Whether the following error is above its window.
@@ -102,7 +113,8 @@ impl PositionLoop {
     /// is the target. `None` when the encoder moved by more than `moved_max` increments.
     pub(crate) fn step(&mut self, target: Option<i32>, actual: i32, moved_max: f64) -> Option<PositionStep> {
         let period_ms = self.period_ms();
-        let moved = actual.wrapping_sub(core::mem::replace(&mut self.actual, actual));
+        let wrap = self.wrap;
+        let moved = nearest(actual.wrapping_sub(core::mem::replace(&mut self.actual, actual)), wrap);
         if self.at_work.is_some() && f64::from(moved).abs() > moved_max {
             return None;
         }
@@ -115,11 +127,11 @@ impl PositionLoop {
             left_ms: 0,
             extrapolates: false,
         });
-        interpolation.aim(target, period_ms);
+        interpolation.aim(target, period_ms, wrap);
         let demanded = interpolation
             .origin
             .wrapping_add(interpolation.at.floor() as i64 as i32);
-        let error = f64::from(demanded.wrapping_sub(actual)) + interpolation.at.rem_euclid(1.0);
+        let error = f64::from(nearest(demanded.wrapping_sub(actual), wrap)) + interpolation.at.rem_euclid(1.0);
         let rate = interpolation.advance();
         self.outside_ms = match self.window != WINDOW_OFF && error.abs() > f64::from(self.window) {
             true => self.outside_ms.saturating_add(1),
@@ -134,10 +146,17 @@ impl PositionLoop {
     }
 }
 
+/// A difference of positions, the shorter way round.
+fn nearest(difference: i32, wrap: Option<i32>) -> i32 {
+    let Some(wrap) = wrap else { return difference };
+    let ahead = difference.rem_euclid(wrap);
+    if ahead > wrap / 2 { ahead - wrap } else { ahead }
+}
+
 impl Interpolation {
-    fn aim(&mut self, target: Option<i32>, period_ms: u32) {
+    fn aim(&mut self, target: Option<i32>, period_ms: u32, wrap: Option<i32>) {
         if let Some(target) = target {
-            self.to += f64::from(target.wrapping_sub(self.target));
+            self.to += f64::from(nearest(target.wrapping_sub(self.target), wrap));
             self.target = target;
             self.rate = (self.to - self.at) / f64::from(period_ms);
             self.left_ms = period_ms;
@@ -217,6 +236,22 @@ mod tests {
             let step = step.expect("any motion is allowed");
             assert!(step.error.is_finite() && step.rate.is_finite(), "{step:?}");
         }
+    }
+
+    #[test]
+    fn positions_that_repeat_are_approached_the_shorter_way() {
+        let mut position_loop = PositionLoop::new(1_000);
+        position_loop.wrap_at(1_000);
+        let mut step = |target, actual| {
+            let step = position_loop.step(Some(target), actual, 100.0).expect("no jump");
+            (step.error, step.rate, position_loop.demanded())
+        };
+        assert_eq!(step(990, 990), (0.0, 0.0, Some(990)));
+        assert_eq!(step(10, 995), (-5.0, 20.0, Some(10)));
+        assert_eq!(step(10, 5), (5.0, 0.0, Some(10)));
+        assert_eq!(step(980, 10), (0.0, -30.0, Some(980)));
+        // A target outside the range is the one inside it.
+        assert_eq!(step(1_970, 980), (0.0, -10.0, Some(970)));
     }
 
     #[test]

@@ -81,6 +81,9 @@ impl Slave {
             (own, _) => own,
         };
         place.serial.iter().for_each(|serial| device.set_serial(*serial));
+        if let Some((servo, one_turn)) = device.servo_mut().zip(place.one_turn) {
+            servo.drive.count_one_turn(one_turn);
+        }
         let mut image = device.image();
         let label = Label {
             alias: place.alias,

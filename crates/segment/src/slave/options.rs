@@ -1,6 +1,7 @@
 //! What is individual about one slave: its processor's manners, and what its owner has set on it.
 
 use crate::controller::silicon::ClockWidth;
+use crate::drive::OneTurn;
 
 /// Properties of a slave's processor; they mean nothing for a slave that has none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -32,6 +33,9 @@ pub struct PlaceOptions {
     pub clock: Option<ClockWidth>,
     /// Password of the files (FoE); 0 for none. No effect on a kind without files.
     pub password: u32,
+    /// Whether the drive counts one motor turn only. No effect on a drive that counts one turn by itself (AX2000) and on other
+    /// slaves.
+    pub one_turn: Option<OneTurn>,
     /// Time constant in which the clock follows the reference clock, ms. `None` for 10 ms, which locks within half a
     /// second; the loop of real controllers takes seconds. No effect on a kind without a clock.
     pub lock_ms: Option<u32>,

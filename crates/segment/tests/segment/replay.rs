@@ -1,7 +1,7 @@
 //! Recorded traffic of third-party masters and slaves, replayed as requests against the segment.
 //!
-//! Every request of a capture passes the segment, one a millisecond; what comes back is compared with what the
-//! recorded slaves answered: the working counter of every datagram, and the data of registers that both define.
+//! Every request of a capture passes the segment at its recorded time, or one a millisecond where the recorded slaves were
+//! simulated and answered at once; what comes back is compared with what the recorded slaves answered: the working counter of every datagram, and the data of registers that both define.
 
 use etherpen_ethercat::wire::sii::checksum;
 use etherpen_segment::rig::{APWR, BWR, frame_of};
@@ -25,21 +25,48 @@ struct Part {
     counter: u16,
 }
 
-/// The packets of a pcapng file, in order.
-fn packets(file: &[u8]) -> Vec<Vec<u8>> {
+/// Longest pause between two requests that is replayed as it was, ns: nothing in the segment takes longer.
+const PAUSE_MAX_NS: u64 = 1_000_000_000;
+/// Pause between two requests with one time, ns: some drivers stamp the frames of several milliseconds together.
+const TOGETHER_NS: u64 = 1_000_000;
+/// When a replay begins, ns.
+const BEGINNING_NS: u64 = 5_000_000;
+/// Option of an interface: units of its times, as a negative power of ten.
+const OPTION_RESOLUTION: u16 = 9;
+
+/// Nanoseconds of a unit of the times of an interface; microseconds unless its options say otherwise.
+fn unit_ns(mut options: &[u8]) -> u64 {
+    while let [kind_low, kind_high, length_low, length_high, rest @ ..] = options {
+        let length = usize::from(u16::from_le_bytes([*length_low, *length_high]));
+        if u16::from_le_bytes([*kind_low, *kind_high]) == OPTION_RESOLUTION {
+            let digits = u32::from(*rest.first().expect("a resolution"));
+            assert!(digits <= 9, "units of 10^-{digits} s");
+            return 10_u64.pow(9 - digits);
+        }
+        options = rest.get(length.next_multiple_of(4)..).unwrap_or(&[]);
+    }
+    1_000
+}
+
+/// The packets of a pcapng file with one interface and their times, ns, in order.
+fn packets(file: &[u8]) -> Vec<(u64, Vec<u8>)> {
     let word = |at: usize| {
         file.get(at..)
             .and_then(|rest| rest.first_chunk())
             .map_or(0, |bytes| u32::from_le_bytes(*bytes))
     };
     assert_eq!((word(0), word(8)), (0x0A0D_0D0A, 0x1A2B_3C4D), "pcapng, little-endian");
-    let (mut at, mut found) = (0, Vec::new());
+    let (mut at, mut found, mut unit) = (0, Vec::new(), 1_000);
     while at + 12 <= file.len() {
         let length = word(at + 4) as usize;
         assert!(length >= 12 && at + length <= file.len(), "block at {at}");
+        if word(at) == 1 {
+            unit = unit_ns(&file[at + 16..at + length - 4]);
+        }
         if word(at) == 6 {
             let bytes = word(at + 20) as usize;
-            found.push(file[at + 28..at + 28 + bytes].to_vec());
+            let time = u64::from(word(at + 12)) << 32 | u64::from(word(at + 16));
+            found.push((time.wrapping_mul(unit), file[at + 28..at + 28 + bytes].to_vec()));
         }
         at += length;
     }
@@ -69,14 +96,23 @@ fn parts(frame: &[u8]) -> Vec<Part> {
     found
 }
 
+/// A request and the reply to it.
+struct Exchanged {
+    /// Time since the first request, ns; a pause is at most [`PAUSE_MAX_NS`], and [`TOGETHER_NS`] where none was recorded.
+    time_ns: u64,
+    request: Vec<u8>,
+    reply: Vec<u8>,
+}
+
 /// Requests and the replies to them. Replies of silicon carry a mark in their source address; in a recording without
 /// marks the second frame with an index is the reply to the first.
-fn exchanges(file: &[u8]) -> Vec<(Vec<u8>, Vec<u8>)> {
-    let (mut open, mut found) = (BTreeMap::new(), Vec::new());
+fn exchanges(file: &[u8]) -> Vec<Exchanged> {
+    let (mut open, mut found) = (BTreeMap::new(), Vec::<Exchanged>::new());
     let packets = packets(file);
     let is_marked = |packet: &Vec<u8>| packet.get(6).is_some_and(|byte| byte & SOURCE_MARK != 0);
-    let marked = packets.iter().any(is_marked);
-    for packet in packets {
+    let marked = packets.iter().any(|(_, packet)| is_marked(packet));
+    let mut before_ns = packets.first().map_or(0, |(time_ns, _)| *time_ns);
+    for (sent_ns, packet) in packets {
         if packet.get(12..14) != Some(&[0x88, 0xA4]) || packet.len() < 28 {
             continue;
         }
@@ -87,17 +123,28 @@ fn exchanges(file: &[u8]) -> Vec<(Vec<u8>, Vec<u8>)> {
             open.contains_key(&index)
         };
         match open.remove(&index).filter(|_| is_reply) {
-            Some(request) => found.push((request, packet)),
+            Some((asked_ns, request)) => {
+                let pause_ns = match u64::saturating_sub(asked_ns, before_ns) {
+                    0 => TOGETHER_NS,
+                    pause_ns => pause_ns.min(PAUSE_MAX_NS),
+                };
+                before_ns = asked_ns.max(before_ns);
+                found.push(Exchanged {
+                    time_ns: found.last().map_or(0, |last| last.time_ns) + pause_ns,
+                    request,
+                    reply: packet,
+                });
+            }
             None if is_reply => {}
-            None => drop(open.insert(index, packet)),
+            None => drop(open.insert(index, (sent_ns, packet))),
         }
     }
     found
 }
 
 /// Places of the station addresses that a recording assigns, or uses without having assigned any.
-fn recorded_stations(exchanges: &[(Vec<u8>, Vec<u8>)]) -> BTreeMap<u16, usize> {
-    let asked = || exchanges.iter().flat_map(|(request, _)| parts(request));
+fn recorded_stations(exchanges: &[Exchanged]) -> BTreeMap<u16, usize> {
+    let asked = || exchanges.iter().flat_map(|exchange| parts(&exchange.request));
     let assigned = asked().filter(|part| part.command == 2 && part.register == 0x0010 && part.data.len() >= 2);
     let station = |part: &Part| u16::from_le_bytes([part.data[0], part.data[1]]);
     let assigned: BTreeMap<_, _> = assigned
@@ -114,12 +161,12 @@ fn recorded_stations(exchanges: &[(Vec<u8>, Vec<u8>)]) -> BTreeMap<u16, usize> {
 }
 
 /// Content of the information memories that a recording reads, by position or station address.
-fn recorded_images(exchanges: &[(Vec<u8>, Vec<u8>)], slaves: usize) -> Vec<Vec<u8>> {
+fn recorded_images(exchanges: &[Exchanged], slaves: usize) -> Vec<Vec<u8>> {
     let stations = recorded_stations(exchanges);
     let mut images = vec![vec![0xFF; 4096]; slaves];
     let mut addresses = vec![0usize; slaves];
-    for (request, reply) in exchanges {
-        for (asked, answered) in parts(request).iter().zip(parts(reply)) {
+    for exchange in exchanges {
+        for (asked, answered) in parts(&exchange.request).iter().zip(parts(&exchange.reply)) {
             let slave = match asked.command {
                 1 | 2 => Some(usize::from(0u16.wrapping_sub(asked.device))),
                 4 | 5 => stations.get(&asked.device).copied(),
@@ -203,20 +250,40 @@ fn begin(segment: &mut Segment<Flywheel>, stations: &BTreeMap<u16, usize>, state
     segment.frame(2_000, &frame_of(&[(BWR, 0, 0x0120, &[state, 0])]));
 }
 
+/// When the requests of a recording pass the segment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Pace {
+    /// As they were recorded: what a slave sends by itself comes where it came there.
+    Recorded,
+    /// One a millisecond: the processor of a slave of the segment runs once a millisecond.
+    Millisecond,
+}
+
+impl Pace {
+    /// The time of an exchange, ns.
+    fn time_ns(self, number: usize, exchange: &Exchanged) -> u64 {
+        BEGINNING_NS
+            + match self {
+                Self::Recorded => exchange.time_ns,
+                Self::Millisecond => number as u64 * 1_000_000,
+            }
+    }
+}
+
 /// Replays a recording against a segment.
-fn replay(exchanges: &[(Vec<u8>, Vec<u8>)], segment: &mut Segment<Flywheel>) -> Outcome {
+fn replay(exchanges: &[Exchanged], segment: &mut Segment<Flywheel>, pace: Pace) -> Outcome {
     let mut outcome = Outcome {
         datagrams: 0,
         data_compared: 0,
         differences: Vec::new(),
         excused: BTreeMap::new(),
     };
-    for (number, (request, recorded)) in exchanges.iter().enumerate() {
+    for (number, exchange) in exchanges.iter().enumerate() {
         let later = exchanges.iter().skip(number).take(CHANGE_EXCHANGES_MAX);
-        let later: Vec<Part> = later.flat_map(|(_, reply)| parts(reply)).collect();
-        let replies = segment.frame((number as u64 + 5) * 1000, request);
+        let later: Vec<Part> = later.flat_map(|exchange| parts(&exchange.reply)).collect();
+        let replies = segment.frame_at_ns(pace.time_ns(number, exchange), &exchange.request);
         assert_eq!(replies.len(), 1, "exchange {number}");
-        for (recorded, actual) in parts(recorded).iter().zip(parts(&replies[0])) {
+        for (recorded, actual) in parts(&exchange.reply).iter().zip(parts(&replies[0])) {
             outcome.datagrams += 1;
             if recorded.counter != actual.counter {
                 match counter_excused(recorded) {
@@ -273,7 +340,11 @@ fn requests_to_a_real_akd_are_answered_as_the_akd_did() {
     };
     let file = std::fs::read(folder.join("soem-sdinfo-akd.pcapng")).unwrap();
     let image = std::fs::read(folder.join("akd.hex")).unwrap();
-    let outcome = replay(&exchanges(&file), &mut segment_of(of_images(vec![image])));
+    let outcome = replay(
+        &exchanges(&file),
+        &mut segment_of(of_images(vec![image])),
+        Pace::Recorded,
+    );
     assert!(outcome.datagrams > 1_000, "{}", outcome.datagrams);
     assert_eq!(outcome.differences, Vec::<String>::new());
 }
@@ -293,7 +364,7 @@ fn requests_to_four_simulated_drives_are_answered_as_those_did() {
                 .for_each(|(byte, same)| *byte = *same);
         }
     }
-    let outcome = replay(&exchanges, &mut segment_of(of_images(images)));
+    let outcome = replay(&exchanges, &mut segment_of(of_images(images)), Pace::Millisecond);
     assert!(outcome.datagrams > 500, "{}", outcome.datagrams);
     assert_eq!(outcome.differences, Vec::<String>::new());
 }
@@ -311,6 +382,7 @@ enum Recorded {
 /// A recording.
 struct Recording {
     file: &'static str,
+    pace: Pace,
     slaves: &'static [Recorded],
     /// State in which the recording begins, if it begins with slaves that have station addresses.
     begins_in: Option<u8>,
@@ -337,6 +409,7 @@ const LAN9252: u16 = 0x0E89;
 const RECORDINGS: [Recording; 7] = [
     Recording {
         file: "replay-dc.pcapng",
+        pace: Pace::Recorded,
         slaves: &[
             Recorded::Dump("ek1100.hex"),
             Recorded::Dump("el2828.hex"),
@@ -349,6 +422,7 @@ const RECORDINGS: [Recording; 7] = [
     },
     Recording {
         file: "replay-ek1100-alias-address.pcapng",
+        pace: Pace::Recorded,
         slaves: &[
             Recorded::Dump("ek1100.hex"),
             Recorded::Dump("el2828.hex"),
@@ -361,6 +435,7 @@ const RECORDINGS: [Recording; 7] = [
     },
     Recording {
         file: "soem-dual-lan9252.pcapng",
+        pace: Pace::Recorded,
         slaves: &[Recorded::Read(LAN9252), Recorded::Read(LAN9252)],
         begins_in: None,
         datagrams: 888,
@@ -369,6 +444,7 @@ const RECORDINGS: [Recording; 7] = [
     },
     Recording {
         file: "soem-sdinfo-ek1100-el1004.pcapng",
+        pace: Pace::Recorded,
         slaves: &[Recorded::Dump("ek1100.hex"), Recorded::Read(TERMINAL)],
         begins_in: None,
         datagrams: 290,
@@ -377,6 +453,7 @@ const RECORDINGS: [Recording; 7] = [
     },
     Recording {
         file: "soem-slaveinfo-sdo_vs_kickcat-k64f.pcapng",
+        pace: Pace::Millisecond,
         slaves: &[Recorded::Read(0)],
         begins_in: None,
         datagrams: 541,
@@ -389,14 +466,16 @@ const RECORDINGS: [Recording; 7] = [
     },
     Recording {
         file: "twincat-akd-nc-mode.pcapng",
+        pace: Pace::Recorded,
         slaves: &[Recorded::Dump("akd.hex")],
         begins_in: None,
         datagrams: 9305,
-        same_min: 600,
+        same_min: 1100,
         explained: &[],
     },
     Recording {
         file: "twincat-run-ek1100-el1004.pcapng",
+        pace: Pace::Recorded,
         slaves: &[Recorded::Dump("ek1100.hex"), Recorded::Kind(SlaveKind::El1004)],
         begins_in: Some(2),
         datagrams: 290,
@@ -406,7 +485,7 @@ const RECORDINGS: [Recording; 7] = [
 ];
 
 /// The slaves of a recording: what was not read of a memory is like that of the first slave.
-fn recorded_slaves(recording: &Recording, folder: &Path, exchanges: &[(Vec<u8>, Vec<u8>)]) -> Vec<SlaveKind> {
+fn recorded_slaves(recording: &Recording, folder: &Path, exchanges: &[Exchanged]) -> Vec<SlaveKind> {
     let mut images = recorded_images(exchanges, recording.slaves.len());
     if let [first, others @ ..] = images.as_mut_slice() {
         for (byte, same) in others.iter_mut().flat_map(|image| image.iter_mut().zip(first.iter())) {
@@ -444,7 +523,7 @@ fn requests_of_three_masters_are_answered_as_the_recorded_slaves_did() {
         if let Some(state) = recording.begins_in {
             begin(&mut segment, &recorded_stations(&exchanges), state);
         }
-        let mut outcome = replay(&exchanges, &mut segment);
+        let mut outcome = replay(&exchanges, &mut segment, recording.pace);
         for explained in recording.explained {
             let named = format!("register {:#06x}", explained.register);
             let before = outcome.differences.len();

@@ -8,7 +8,7 @@ use etherpen::board::Interlock;
 use etherpen::config::{AxisMode, Config, Transport};
 use etherpen::control::sampler::{CycleReport, OUTPUT_LATE_NS, Queued, Sampler, SamplerCommand};
 use etherpen::drives::io::{BusState, GroupDrive, IoGroup, IoTrigger};
-use etherpen::drives::{DriveInput, DriveOutput, MemoryGroup, ax2000, generic};
+use etherpen::drives::{DriveInput, DriveOutput, MemoryGroup, PositionRange, ax2000, generic};
 use etherpen::ethercat::cyclic::{Arrival, BusCounters, ExchangeKind};
 use etherpen::ethercat::encapsulation::Encapsulation;
 use etherpen::ethercat::frame_port::FramePort;
@@ -58,6 +58,7 @@ impl Queues {
                     AxisMode::Position => &generic::GENERIC,
                 },
                 mode: axis.mode,
+                range: PositionRange::WHOLE,
                 operational: true,
                 generation: 0,
             })

@@ -58,8 +58,10 @@ impl Operator<'_> {
     /// Injects a fault of the segment's script; the reader of the episode has checked its words.
     pub(super) fn inject(&mut self, words: &str) {
         let Ok(fault) = words.parse::<Fault>() else { return };
-        if let Fault::Swap(slave, _) = fault {
-            self.swapped.push(slave);
+        match fault {
+            Fault::Swap(slave, _) => self.swapped.push(slave),
+            Fault::Recable(one, other) => self.recabled.push((one, other)),
+            _ => {}
         }
         self.world.inject(fault);
         self.judge.injected(fault, 1, self.now_ms);
@@ -103,11 +105,18 @@ impl Operator<'_> {
         self.world.spare_frames();
         self.inject("join");
         let drives = self.config.axes.len();
-        for slave in 1..=drives {
+        for slave in 1..=drives.max(self.config.terminal_places().last().map_or(0, |place| place + 1)) {
             self.inject(&format!("insert {slave}"));
             self.inject(&format!("sii {slave} whole"));
+        }
+        for slave in 1..=drives {
             self.inject(&format!("stuck {slave} 0"));
         }
+        // The last exchange is undone first.
+        for (one, other) in std::mem::take(&mut self.recabled).into_iter().rev() {
+            self.inject(&format!("recable {one} {other}"));
+        }
+        self.recabled.clear();
         for slave in std::mem::take(&mut self.swapped) {
             let own = self.config.axes.get(slave - 1).map(product);
             let name = if own == Some(Product::Cia402) {

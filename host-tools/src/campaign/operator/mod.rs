@@ -95,6 +95,8 @@ pub(super) struct Operator<'e> {
     /// Executed vertices when the drawing last advanced, and the time.
     advanced: (u32, u32),
     swapped: Vec<usize>,
+    /// Pairs of slaves that were put at each other's places, in order.
+    recabled: Vec<(usize, usize)>,
     /// Whether the recording of the first fault was replayed.
     has_replayed: bool,
     failure: Option<Failure>,
@@ -140,6 +142,7 @@ impl<'e> Operator<'e> {
             ack: PathAck::default(),
             advanced: (0, 0),
             swapped: Vec::new(),
+            recabled: Vec::new(),
             has_replayed: false,
             failure: None,
             config,

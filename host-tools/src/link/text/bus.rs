@@ -200,6 +200,11 @@ pub fn bus_error(error: &BusError) -> String {
             u16::from(first) + 1,
             u16::from(second) + 1
         ),
+        BusError::FileOpen => "one of its files is being transferred in BOOT; wait until the transfer has ended".into(),
+        BusError::PositionRange { expected, actual } => format!(
+            "the drive's positions repeat after {actual} (607B), which is not a whole number of motor turns of {expected} \
+             increments; set 607B of the drive, or increments_per_revolution"
+        ),
         BusError::SyncManagers { expected, actual } => {
             format!("the slave's process data are in {actual} sync managers, more than {expected}; assign less")
         }
@@ -283,7 +288,7 @@ pub(super) fn identity_property(property: IdentityProperty, expected: u32, found
 }
 
 pub(super) fn bring_up_step(step: u8) -> &'static str {
-    const STEPS: [(Step, &str); 15] = [
+    const STEPS: [(Step, &str); 16] = [
         (Step::Discover, "counting the slaves"),
         (Step::Reset, "bringing all slaves to INIT"),
         (Step::Address, "giving station addresses"),
@@ -299,6 +304,7 @@ pub(super) fn bring_up_step(step: u8) -> &'static str {
         (Step::Operational, "bringing it to OP"),
         (Step::Clocks, "setting up the clocks"),
         (Step::Watch, "watching the other slaves meanwhile"),
+        (Step::Bootstrap, "leaving BOOT"),
     ];
     let known = STEPS.iter().find(|(known, _)| *known as u8 == step);
     known.map_or("an unknown step", |(_, text)| text)
@@ -308,7 +314,7 @@ pub(super) fn bring_up_step(step: u8) -> &'static str {
 /// abort code.
 pub(super) fn bring_up_code(step: u8, code: u32) -> (String, &'static str) {
     const SUPPLY: &str = "check its supply and cable";
-    const SILENT: [(Step, &str, &str); 3] = [
+    const SILENT: [(Step, &str, &str); 4] = [
         (
             Step::Identify,
             "its information memory (SII) stayed busy or is not the one that was there before",
@@ -323,6 +329,11 @@ pub(super) fn bring_up_code(step: u8, code: u32) -> (String, &'static str) {
             Step::Watch,
             "other slaves came or went",
             "check the cables, then acknowledge again",
+        ),
+        (
+            Step::Bootstrap,
+            "one of its files is being transferred",
+            "wait until the transfer has ended, then acknowledge again",
         ),
     ];
     if code == 0 {

@@ -128,7 +128,7 @@ pub fn fault(fault: &Fault) -> String {
             };
             let hint = match other {
                 Some(other) => format!(
-                    "it was exchanged with slave {}: put the cables or the drives of both places back",
+                    "it was exchanged with slave {}: put the cables or the devices of both places back",
                     one(other)
                 ),
                 None => "put the right one back, or correct alias, switch or serial of its axis in etherpen.toml \
