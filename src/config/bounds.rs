@@ -209,9 +209,9 @@ impl Config {
     /// height and does not lift the pen.
     fn drives_min(&self) -> usize {
         let lifts_by_axis = self.pen.kind == PenLiftKind::Axis;
-        match self.geometry.kind() {
-            Kind::Gantry | Kind::CoreXy | Kind::Scara if !lifts_by_axis => MAIN_AXES - 1,
-            _ => MAIN_AXES,
+        match self.geometry.kind().has_height_axis() && !lifts_by_axis {
+            true => MAIN_AXES - 1,
+            false => MAIN_AXES,
         }
     }
 

@@ -48,6 +48,7 @@ fn faults_of_a_robot_without_its_fourth_axis_are_told_as_with_it_and_it_comes_ba
                 Fault::SlaveLost { .. } | Fault::SlaveState { .. } | Fault::Drive { .. }
             )
         });
+        robot.run(2_000);
         assert_recovers_and_draws(&mut robot);
     }
 }

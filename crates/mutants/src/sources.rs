@@ -137,7 +137,7 @@ mod tests {
         let listed = crate::parts::PARTS.iter().flat_map(|part| part.sources);
         let without: Vec<_> = listed.filter(has_none).collect();
         assert!(without.is_empty(), "without sites: {without:?}");
-        for part in ["tests", "checks", "search", "random"] {
+        for part in ["tests", "checks", "application/search", "random"] {
             let test = sources.sites.iter().find(|site| site.file.contains(part));
             assert!(test.is_none(), "{test:?}");
         }

@@ -10,7 +10,7 @@
 //! Invariant: a message names the line and the value as they are written.
 
 use etherpen::config::Config;
-use etherpen::robots::{AXES, LINEAR_MM_PER_RAD};
+use etherpen::robots::{AXES, Kind, LINEAR_MM_PER_RAD};
 use serde::Deserialize;
 use std::f64::consts::TAU;
 use toml::Spanned;
@@ -95,16 +95,6 @@ impl From<toml::de::Error> for ReadingError {
     }
 }
 
-/// Which axes of a kind of machine are linear.
-#[must_use]
-pub fn linear_axes(kind: &str) -> [bool; AXES] {
-    match kind {
-        "gantry" | "corexy" | "linear-delta" => [true, true, true, false],
-        "scara" => [false, false, true, false],
-        _ => [false; AXES],
-    }
-}
-
 /// Reads a configuration; values are not checked against their bounds.
 ///
 /// # Errors
@@ -112,7 +102,9 @@ pub fn linear_axes(kind: &str) -> [bool; AXES] {
 pub fn configuration(text: &str) -> Result<Config, ReadingError> {
     let mut table = DeTable::parse(text)?;
     let mut file = File { text };
-    let linear = kind(table.get_ref()).map_or([false; AXES], linear_axes);
+    let linear = kind(table.get_ref())
+        .and_then(Kind::named)
+        .map_or([false; AXES], Kind::linear_axes);
     file.share(table.get_mut(), &linear)?;
     let converted = file.converted(table.get_ref(), &linear)?;
     // The converted values are texts of their own, which live shorter than the file's.

@@ -8,7 +8,7 @@ use super::delta::{DeltaError, DeltaGeometry};
 use super::gantry::GantryGeometry;
 use super::linear_delta::{LinearDeltaError, LinearDeltaGeometry};
 use super::scara::{ScaraError, ScaraGeometry};
-use super::{MAIN_AXES, flat};
+use super::{AXES, MAIN_AXES, flat};
 use crate::bounds::{Bound, bound};
 use crate::settings::WorkVolume;
 use core::fmt;
@@ -52,6 +52,22 @@ impl Kind {
     #[must_use]
     pub fn named(name: &str) -> Option<Self> {
         Self::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+
+    /// Which axes are linear.
+    #[must_use]
+    pub fn linear_axes(self) -> [bool; AXES] {
+        match self {
+            Self::Delta => [false; AXES],
+            Self::Scara => [false, false, true, false],
+            Self::Gantry | Self::CoreXy | Self::LinearDelta => [true, true, true, false],
+        }
+    }
+
+    /// Whether the third main axis is the tool's height, and moves nothing else.
+    #[must_use]
+    pub fn has_height_axis(self) -> bool {
+        matches!(self, Self::Gantry | Self::CoreXy | Self::Scara)
     }
 
     /// Dimensions of a usual machine of this kind.
