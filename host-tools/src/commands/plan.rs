@@ -149,7 +149,11 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let mut config = arguments.config.load()?;
     arguments.limits.apply(&mut config);
     let (path, vertices_merged) = read_path(&arguments.file, &config, &arguments.source)?;
-    let mut table = arguments.samples.as_deref().map(begin).transpose()?;
+    let mut table = arguments
+        .samples
+        .as_deref()
+        .map(|file| begin(&config, file))
+        .transpose()?;
     let mut failed = None;
     let observe = |sample: &_| {
         if let Some(Err(cause)) = table.as_mut().map(|table| table.step(sample)) {
@@ -184,9 +188,9 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
 }
 
 /// Starts the table of references.
-fn begin(file: &Path) -> Result<Table<OutputFile>, ProgramError> {
+fn begin(config: &Config, file: &Path) -> Result<Table<OutputFile>, ProgramError> {
     OutputFile::create(file)
-        .and_then(Table::new)
+        .and_then(|out| Table::new(config, out))
         .map_err(|cause| unwritable(file, &cause))
 }
 

@@ -9,8 +9,9 @@
 //!
 //! Invariant: a message names the line and the value as they are written.
 
+use crate::axes::{Motion, motions};
 use etherpen::config::Config;
-use etherpen::robots::{AXES, LINEAR_MM_PER_RAD};
+use etherpen::robots::{AXES, Kind, LINEAR_MM_PER_RAD};
 use serde::Deserialize;
 use std::f64::consts::TAU;
 use toml::Spanned;
@@ -90,11 +91,8 @@ impl From<toml::de::Error> for ReadingError {
 /// Which axes of a kind of machine are linear.
 #[must_use]
 pub fn linear_axes(kind: &str) -> [bool; AXES] {
-    match kind {
-        "gantry" | "corexy" | "linear-delta" => [true, true, true, false],
-        "scara" => [false, false, true, false],
-        _ => [false; AXES],
-    }
+    let motions = Kind::named(kind).map(motions);
+    motions.map_or([false; AXES], |motions| motions.map(|motion| motion == Motion::Linear))
 }
 
 /// Reads a configuration; values are not checked against their bounds.
