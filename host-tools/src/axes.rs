@@ -99,6 +99,8 @@ pub struct AxisView {
     pub index: usize,
     /// Its name in plots and texts.
     pub name: String,
+    /// Its name where axes are listed: a number where the name is only a kind of part.
+    pub label: String,
     /// How it moves.
     pub motion: Motion,
 }
@@ -173,6 +175,10 @@ pub fn axes(config: &Config) -> Vec<AxisView> {
     let axis = |index| AxisView {
         index,
         name: name(&config.geometry, index),
+        label: match kind {
+            Kind::Delta | Kind::LinearDelta => format!("axis {}", index + 1),
+            _ => name(&config.geometry, index),
+        },
         motion: motion(kind, index),
     };
     (0..usize::from(config.bus.drives).min(AXES)).map(axis).collect()
