@@ -10,6 +10,46 @@ use etherpen::robots::{AXES, Geometry, Kind, Kinematics, LINEAR_MM_PER_RAD, MAIN
 use serde::Serialize;
 use serde::ser::{SerializeMap, Serializer};
 
+/// Metres for a radian of a linear axis.
+const M_PER_RAD: f64 = LINEAR_MM_PER_RAD / 1_000.0;
+
+/// A value that a linear axis has in another unit: its name in the file, that of the controller's value, and the factor.
+#[derive(Clone, Copy, Debug)]
+pub struct Unit(pub &'static str, pub &'static str, pub f64);
+
+/// Values of a linear axis.
+pub const LINEAR: [Unit; 8] = [
+    Unit("sync_mm", "sync_angle_rad", 1.0 / LINEAR_MM_PER_RAD),
+    Unit(
+        "following_error_max_mm",
+        "following_error_max_rad",
+        1.0 / LINEAR_MM_PER_RAD,
+    ),
+    Unit(
+        "feedback_deviation_max_mm",
+        "feedback_deviation_max_rad",
+        1.0 / LINEAR_MM_PER_RAD,
+    ),
+    Unit(
+        "feedback_acceleration_max_mm_s2",
+        "feedback_acceleration_max_rad_s2",
+        1.0 / LINEAR_MM_PER_RAD,
+    ),
+    Unit("output_max_mm_s", "output_max_rad_s", 1.0 / LINEAR_MM_PER_RAD),
+    Unit("quick_stop_mm_s2", "quick_stop_rad_s2", 1.0 / LINEAR_MM_PER_RAD),
+    Unit("mass_kg", "inertia_kg_m2", M_PER_RAD * M_PER_RAD),
+    Unit("force_max_n", "torque_max_nm", M_PER_RAD),
+];
+
+/// The name in a configuration file of a controller's value of an axis, and the factor from the controller's value to the
+/// written one; `None` where both are the same.
+#[must_use]
+pub fn as_written(kind: Kind, axis: usize, name: &str) -> Option<(&'static str, f64)> {
+    let is_linear = motion(kind, axis) == Motion::Linear;
+    let unit = LINEAR.iter().find(|Unit(_, to, _)| is_linear && *to == name);
+    unit.map(|Unit(from, _, factor)| (*from, 1.0 / factor))
+}
+
 /// How an axis moves.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Motion {
@@ -311,6 +351,16 @@ mod tests {
         );
         assert_eq!(axes(&machine(Kind::LinearDelta, 3))[2].name, "carriage 3");
         assert_eq!(axes(&Config::default())[3].name, "axis 4");
+    }
+
+    #[test]
+    fn a_value_is_named_as_its_file_writes_it() {
+        let written = |axis, name| as_written(Kind::Scara, axis, name);
+        assert_eq!(written(0, "output_max_rad_s"), None);
+        assert_eq!(written(2, "output_max_rad_s"), Some(("output_max_mm_s", 100.0)));
+        assert_eq!(written(2, "gear"), None);
+        let (name, factor) = written(2, "inertia_kg_m2").unwrap();
+        assert!(name == "mass_kg" && (factor - 100.0).abs() < 1.0e-9);
     }
 
     #[test]

@@ -6,6 +6,7 @@
 //! Invariant: the written file is a valid configuration within its bounds; the file is replaced as a whole or not at
 //! all.
 
+pub mod checking;
 pub mod machines;
 pub mod reading;
 
@@ -115,18 +116,10 @@ fn checked(text: &str, shown: &dyn std::fmt::Display) -> Result<Config, ProgramE
             format!("the configuration {shown} is wrong:\n{}", shortened(&cause)),
         )
     })?;
-    config.check().map_err(|cause| {
-        ProgramError::new(
-            code::USAGE,
-            format!("the configuration {shown} is wrong: {}", text::config_error(&cause)),
-        )
-    })?;
-    config.check_io().map_err(|cause| {
-        ProgramError::new(
-            code::USAGE,
-            format!("the configuration {shown} is wrong: {}", text::io_error(&cause)),
-        )
-    })?;
+    if let Some(finding) = checking::first_error(text) {
+        let message = format!("the configuration {shown} is wrong: {finding}");
+        return Err(ProgramError::new(code::USAGE, message));
+    }
     Ok(config)
 }
 

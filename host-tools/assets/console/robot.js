@@ -4,7 +4,6 @@
 import { $, Canvas } from "./dom.js";
 
 const PEN_MM = 60;
-const MANY_MM = 1e5;
 const STYLES = { base: [5, "metal"], link: [6, "ink"], rod: [1.8, "soft"], joint: [5, "metal"], platform: [4, "accent"] };
 
 export function robot(link) {
@@ -92,7 +91,7 @@ const ring = ([x, y, z], radius) => Array.from({ length: 49 }, (_, index) => [x 
 
 // The borders of the work area at a height: a rectangle where x and y are limited, else a circle, and the hole of a ring.
 function outlines({ x_mm: [left, right], y_mm: [front, back], radius_mm: radius, inner_radius_mm: hole }, z) {
-  const boxed = Math.max(-left, right, -front, back) < MANY_MM;
+  const boxed = Math.max(-left, right, -front, back) < radius;
   const rectangle = [[left, front, z], [right, front, z], [right, back, z], [left, back, z], [left, front, z]];
   const outer = boxed ? rectangle : ring([0, 0, z], radius);
   return hole > 0 ? [outer, ring([0, 0, z], hole)] : [outer];

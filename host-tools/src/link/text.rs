@@ -5,6 +5,7 @@
 pub mod bus;
 mod faults;
 
+use crate::axes::{self, Motion};
 use etherpen::application::{Fault, IoRefusal, Mode, Refusal};
 use etherpen::board::{PreviousRun, RunEnd};
 use etherpen::config::{ConfigError, IO_NAME_MAX, IoError, IoRole};
@@ -285,15 +286,44 @@ pub fn config_error(error: &ConfigError) -> String {
     let why = match error.field.name() {
         "axes.quick_stop_rad_s2" => "the axis must stop from its highest speed before its brake closes; ",
         "axes.alias" | "axes.switch" | "axes.serial" => "another axis expects the same drive; ",
+        "axes.gear" if is_linear(error) => "it is gear times 628.3 mm / pitch_mm; ",
         _ => "",
     };
-    format!(
-        "{}{axis} is {}, allowed is {} to {}; {why}correct it in etherpen.toml",
-        error.field.name(),
-        error.value,
-        error.low,
-        error.high
-    )
+    let (name, factor) = written(error);
+    // Without the remainder of the conversion.
+    let shown = |value: f64| (value * factor * 1.0e6).round() / 1.0e6;
+    let [value, low, high] = match factor == 1.0 {
+        true => [error.value, error.low, error.high],
+        false => [error.value, error.low, error.high].map(shown),
+    };
+    format!("{name}{axis} is {value}, allowed is {low} to {high}; {why}correct it in etherpen.toml")
+}
+
+/// Whether the refused value belongs to a linear axis.
+fn is_linear(error: &ConfigError) -> bool {
+    let of_axis = |axis: u8| axes::motion(error.field.kind, axis.into()) == Motion::Linear;
+    error.field.axis.is_some_and(of_axis)
+}
+
+/// The refused value's name in a configuration file, and the factor from the controller's value to the written one.
+fn written(error: &ConfigError) -> (Cow<'static, str>, f64) {
+    let name = error.field.name();
+    let as_written = |axis: u8| axes::as_written(error.field.kind, axis.into(), name.strip_prefix("axes.")?);
+    if let Some((name, factor)) = error.field.axis.and_then(as_written) {
+        return (format!("axes.{name}").into(), factor);
+    }
+    // A list with a value for each axis in the axis's own unit; where all main axes are linear, it is millimetres.
+    let motions = axes::motions(error.field.kind);
+    let in_own_units = motions.contains(&Motion::Linear);
+    let factor = match motions {
+        [first, second, third, _] if first == second && second == third => first.factor(),
+        _ => 1.0,
+    };
+    match name {
+        "motion.joint_speed_rad_s" if in_own_units => ("motion.joint_speed".into(), factor),
+        "motion.joint_acceleration_rad_s2" if in_own_units => ("motion.joint_acceleration".into(), factor),
+        _ => (name.into(), 1.0),
+    }
 }
 
 /// How the previous run ended, if that is worth reporting.
