@@ -211,17 +211,23 @@ pub fn name(geometry: &Geometry, axis: usize) -> String {
 /// The axes of a machine: those that have a drive.
 #[must_use]
 pub fn axes(config: &Config) -> Vec<AxisView> {
-    let kind = config.geometry.kind();
+    first_axes(&config.geometry, config.bus.drives.into())
+}
+
+/// The first axes of a machine with these dimensions.
+#[must_use]
+pub fn first_axes(geometry: &Geometry, count: usize) -> Vec<AxisView> {
+    let kind = geometry.kind();
     let axis = |index| AxisView {
         index,
-        name: name(&config.geometry, index),
+        name: name(geometry, index),
         label: match kind {
             Kind::Delta | Kind::LinearDelta => format!("axis {}", index + 1),
-            _ => name(&config.geometry, index),
+            _ => name(geometry, index),
         },
         motion: motion(kind, index),
     };
-    (0..usize::from(config.bus.drives).min(AXES)).map(axis).collect()
+    (0..count.min(AXES)).map(axis).collect()
 }
 
 /// A position for each axis of a machine, in the axis's own unit.

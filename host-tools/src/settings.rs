@@ -9,6 +9,7 @@
 pub mod checking;
 pub mod machines;
 pub mod reading;
+pub mod starting;
 
 use crate::error::{ProgramError, code};
 use crate::link::text;
@@ -80,7 +81,10 @@ fn shortened(cause: &impl std::fmt::Display) -> String {
 }
 
 /// Reads a file of limited size.
-fn read(path: &Path) -> io::Result<String> {
+///
+/// # Errors
+/// The file cannot be read, is too large, or is not text.
+pub fn read(path: &Path) -> io::Result<String> {
     let mut bytes = Vec::new();
     File::open(path)?.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > FILE_BYTES_MAX {

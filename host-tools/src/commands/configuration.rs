@@ -1,11 +1,15 @@
-//! `etherpen config show`: the values in effect, and the source of each.
+//! `etherpen config`: a new configuration file, checks of one, and the values in effect with the source of each.
 
 use super::ports::OptionalPort;
 use super::{ConfigArguments, print_json};
 use crate::error::{ProgramError, code};
+use crate::settings::checking::{self, Finding, Gravity};
+use crate::settings::starting::{self, SIZES, Wishes};
+use crate::terminal::counted;
+use etherpen::robots::Kind;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::io::Write;
+use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 
 /// Options of `etherpen config`.
@@ -22,6 +26,83 @@ enum Command {
     /// Values come from the built-in IRB 340 and from a file that overrides it (--config, else ETHERPEN_CONFIG, else
     /// etherpen.toml in this folder). The port comes from --port, else ETHERPEN_PORT.
     Show(Show),
+    /// Check a configuration file: what is wrong with line and remedy, what is missing, what is unlikely.
+    ///
+    /// The exit code is 0 if the file can be used, with or without warnings, and 2 if not.
+    Check(Check),
+    /// Write a configuration file for a machine of your own.
+    ///
+    /// Asks on a terminal for everything that no option tells, and takes the bundled machine's value for an empty answer.
+    /// Not on a terminal, --kind is needed, and what no option tells is the bundled machine's.
+    New(New),
+}
+
+#[derive(clap::Args, Debug)]
+struct Check {
+    /// The file. Default: --config, else ETHERPEN_CONFIG, else etherpen.toml in this folder.
+    file: Option<PathBuf>,
+    /// Print the findings as JSON on stdout.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    config: ConfigArguments,
+}
+
+#[derive(clap::Args, Debug)]
+struct New {
+    /// The file to write.
+    #[arg(default_value = "etherpen.toml")]
+    file: PathBuf,
+    /// Kind of machine.
+    #[arg(long, value_name = "KIND", value_parser = kind)]
+    kind: Option<Kind>,
+    /// Travel of a gantry or CoreXY along x, mm.
+    #[arg(long, value_name = "MM")]
+    width: Option<f64>,
+    /// Travel of a gantry or CoreXY along y, mm.
+    #[arg(long, value_name = "MM")]
+    depth: Option<f64>,
+    /// Travel of a gantry or SCARA along z, mm.
+    #[arg(long, value_name = "MM")]
+    height: Option<f64>,
+    /// Length of a SCARA's inner link, mm.
+    #[arg(long, value_name = "MM")]
+    inner_link: Option<f64>,
+    /// Length of a SCARA's outer link, mm.
+    #[arg(long, value_name = "MM")]
+    outer_link: Option<f64>,
+    /// Linear delta: from the axis to a rod's upper joint, less that of the lower joint, mm.
+    #[arg(long, value_name = "MM")]
+    radius: Option<f64>,
+    /// Length of a linear delta's rods, mm.
+    #[arg(long, value_name = "MM")]
+    rod: Option<f64>,
+    /// Travel of linear axes for one turn of the pulley or screw, mm.
+    #[arg(long, value_name = "MM")]
+    pitch: Option<f64>,
+    /// Motor turns for one turn of the joint, pulley or screw; negative: the other way.
+    #[arg(long, value_name = "TURNS", allow_negative_numbers = true)]
+    gear: Option<f64>,
+    /// Number of drives (etherpen bus scan lists them).
+    #[arg(long, value_name = "NUMBER")]
+    drives: Option<usize>,
+    /// Overwrite the file.
+    #[arg(long)]
+    force: bool,
+}
+
+fn kind(name: &str) -> Result<Kind, String> {
+    let names = Kind::ALL.map(Kind::name).join(", ");
+    Kind::named(name).ok_or_else(|| format!("it is one of {names}"))
+}
+
+/// The answer of `etherpen config check`.
+#[derive(Debug, Serialize)]
+struct Checked<'a> {
+    file: String,
+    /// Whether the file can be used.
+    valid: bool,
+    findings: &'a [Finding],
 }
 
 #[derive(clap::Args, Debug)]
@@ -50,7 +131,11 @@ struct ConfigEntry {
 /// # Errors
 /// The configuration cannot be used.
 pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
-    let Command::Show(show) = &arguments.command;
+    let show = match &arguments.command {
+        Command::Show(show) => show,
+        Command::Check(check) => return check_file(check),
+        Command::New(new) => return new_file(new),
+    };
     let entries = entries(show)?;
     if show.json {
         return match show.origin {
@@ -70,6 +155,140 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
             false => format!("{key} = {}", entry.value),
         };
         writeln!(out, "{line}").map_err(|cause| ProgramError::failed("stdout", cause))?;
+    }
+    Ok(())
+}
+
+fn check_file(arguments: &Check) -> Result<(), ProgramError> {
+    let file = arguments.file.clone().or_else(|| arguments.config.path());
+    let Some(file) = file else {
+        let message = "there is no etherpen.toml in this folder; name a file, or write one: etherpen config new";
+        return Err(ProgramError::new(code::USAGE, message));
+    };
+    let shown = file.display().to_string();
+    let text = crate::settings::read(&file)
+        .map_err(|cause| ProgramError::new(code::USAGE, format!("{shown} cannot be read: {cause}")))?;
+    let findings = checking::check(&text);
+    let errors = findings
+        .iter()
+        .filter(|finding| finding.gravity == Gravity::Error)
+        .count();
+    if arguments.json {
+        print_json(&Checked {
+            file: shown.clone(),
+            valid: errors == 0,
+            findings: &findings,
+        })?;
+    } else {
+        let mut out = std::io::stdout().lock();
+        for finding in &findings {
+            let gravity = if finding.gravity == Gravity::Error {
+                "error"
+            } else {
+                "warning"
+            };
+            writeln!(out, "{gravity}: {shown}: {finding}").map_err(|cause| ProgramError::failed("stdout", cause))?;
+        }
+    }
+    if errors > 0 {
+        let message = format!("{shown} cannot be used: {}", counted(errors, "error"));
+        return Err(ProgramError::new(code::USAGE, message));
+    }
+    eprintln!("{shown} can be used; {}.", counted(findings.len(), "warning"));
+    Ok(())
+}
+
+fn new_file(arguments: &New) -> Result<(), ProgramError> {
+    let usage = |message: String| ProgramError::new(code::USAGE, message);
+    let shown = arguments.file.display();
+    if arguments.file.exists() && !arguments.force {
+        return Err(usage(format!(
+            "{shown} exists; name another file, or overwrite it with --force"
+        )));
+    }
+    let asks = std::io::stdin().is_terminal();
+    let kind = match arguments.kind {
+        Some(kind) => kind,
+        None if asks => ask_kind()?,
+        None => {
+            let names = Kind::ALL.map(Kind::name).join(", ");
+            return Err(usage(format!("which kind of machine? --kind is one of {names}")));
+        }
+    };
+    let mut wishes = Wishes {
+        sizes_mm: [
+            arguments.width,
+            arguments.depth,
+            arguments.height,
+            arguments.inner_link,
+            arguments.outer_link,
+            arguments.radius,
+            arguments.rod,
+        ],
+        pitch_mm: arguments.pitch,
+        gear: arguments.gear,
+        drives: arguments.drives,
+    };
+    if asks {
+        ask(kind, &mut wishes)?;
+    }
+    let text = starting::compose(kind, &wishes).map_err(usage)?;
+    crate::output_file::write(&arguments.file, text.as_bytes())
+        .map_err(|cause| ProgramError::failed(format!("{shown} cannot be written"), cause))?;
+    eprintln!(
+        "Written: {shown}. Compare every line with your machine, then: etherpen config check {shown}; etherpen simulate FILE \
+         --config {shown}"
+    );
+    Ok(())
+}
+
+/// Asks a question on the terminal; `None` for an empty answer, or if there are no more answers.
+fn answer(question: &str) -> Result<Option<String>, ProgramError> {
+    let failed = |cause| ProgramError::failed("the terminal", cause);
+    eprint!("{question}: ");
+    std::io::stderr().flush().map_err(failed)?;
+    let mut line = String::new();
+    std::io::stdin().read_line(&mut line).map_err(failed)?;
+    Ok(Some(line.trim().to_owned()).filter(|line| !line.is_empty()))
+}
+
+fn ask_kind() -> Result<Kind, ProgramError> {
+    let names = Kind::ALL.map(Kind::name).join(", ");
+    let Some(name) = answer(&format!("kind of machine ({names})"))? else {
+        return Err(ProgramError::new(code::USAGE, "no kind of machine was named"));
+    };
+    kind(&name).map_err(|cause| ProgramError::new(code::USAGE, format!("{name}: {cause}")))
+}
+
+/// Asks for what no option tells.
+fn ask(kind: Kind, wishes: &mut Wishes) -> Result<(), ProgramError> {
+    let usual = starting::usual(kind);
+    let figure = |what: &str, usual: Option<f64>| -> Result<Option<f64>, ProgramError> {
+        let Some(usual) = usual else { return Ok(None) };
+        let Some(text) = answer(&format!("{what} [{usual}]"))? else {
+            return Ok(None);
+        };
+        let number = text.parse().map(Some);
+        number.map_err(|_| ProgramError::new(code::USAGE, format!("{what}: {text} is not a number")))
+    };
+    let sizes = SIZES.iter().zip(usual.sizes_mm);
+    for ((size, usual), wish) in sizes.zip(&mut wishes.sizes_mm) {
+        if wish.is_none() && size.suits(kind) {
+            *wish = figure(size.what, usual)?;
+        }
+    }
+    if wishes.pitch_mm.is_none() {
+        wishes.pitch_mm = figure(
+            "travel of linear axes for one turn of the pulley or screw, mm",
+            usual.pitch_mm,
+        )?;
+    }
+    if wishes.gear.is_none() {
+        wishes.gear = figure("motor turns for one turn of the joint, pulley or screw", usual.gear)?;
+    }
+    if wishes.drives.is_none() {
+        let drives = usual.drives.map(|drives| drives as f64);
+        wishes.drives = figure("number of drives", drives)?.map(|drives| drives as usize);
     }
     Ok(())
 }

@@ -1,6 +1,7 @@
 //! `etherpen plan`: runs a path through the firmware's planner and shows duration, peaks, violations and references.
 
 use super::{ConfigArguments, print_json};
+use crate::axes::{AxisView, Motion, Quantity, axes};
 use crate::drawing::preparation::compose::unusable;
 use crate::drawing::preparation::listed::read_path;
 use crate::drawing::preparation::source::SourceArguments;
@@ -183,7 +184,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         return print_json(&answer);
     }
     io::stdout()
-        .write_all(shown(&answer).as_bytes())
+        .write_all(shown(&answer, &axes(&config)).as_bytes())
         .map_err(|cause| ProgramError::failed("stdout", cause))
 }
 
@@ -195,7 +196,7 @@ fn begin(config: &Config, file: &Path) -> Result<Table<OutputFile>, ProgramError
 }
 
 /// The findings as text.
-fn shown(answer: &Answer) -> String {
+fn shown(answer: &Answer, axes: &[AxisView]) -> String {
     let findings = &answer.findings;
     let (peaks, limits) = (&findings.peaks, &findings.limits);
     let mut text = format!(
@@ -206,19 +207,23 @@ fn shown(answer: &Answer) -> String {
         let limit = limit.map_or("-".into(), figure);
         text.push_str(&format!("{name:<22} {:>12} {limit:>12} {unit}\n", figure(peak)));
     };
-    for axis in 0..AXES {
-        let jerk = limits.joint_jerk_rad_s3.map(|jerk| jerk[axis]);
-        let number = axis + 1;
-        let (speed, acceleration) = (peaks.joint_speed_rad_s[axis], peaks.joint_acceleration_rad_s2[axis]);
-        line(
-            &format!("axis {number}: speed"),
-            "rad/s",
-            speed,
-            Some(limits.joint_speed_rad_s[axis]),
+    for axis in axes {
+        let number = axis.index + 1;
+        let unit = |quantity| axis.motion.unit(quantity);
+        let name = match axis.motion {
+            Motion::Rotary => format!("axis {number}: speed"),
+            Motion::Linear => format!("axis {}: speed", axis.name),
+        };
+        let of = |values: &[f64; AXES]| axis.of(values);
+        let limit = Some(of(&limits.joint_speed_rad_s));
+        line(&name, unit(Quantity::Speed), of(&peaks.joint_speed_rad_s), limit);
+        let (peak, limit) = (
+            of(&peaks.joint_acceleration_rad_s2),
+            of(&limits.joint_acceleration_rad_s2),
         );
-        let limit = Some(limits.joint_acceleration_rad_s2[axis]);
-        line("        acceleration", "rad/s2", acceleration, limit);
-        line("        jerk", "rad/s3", peaks.joint_jerk_rad_s3[axis], jerk);
+        line("        acceleration", unit(Quantity::Acceleration), peak, Some(limit));
+        let jerk = limits.joint_jerk_rad_s3.as_ref().map(of);
+        line("        jerk", unit(Quantity::Jerk), of(&peaks.joint_jerk_rad_s3), jerk);
     }
     line("drawing speed", "mm/s", peaks.speed_mm_s, Some(limits.speed_mm_s));
     line(

@@ -296,7 +296,7 @@ pub(crate) mod tests {
         let mut rows = Rows::new(&config);
         let row = rows.take(&sample(6, 0.3));
         let value = |name: &str| row.value(names.iter().position(|signal| signal.name == name).unwrap());
-        assert_eq!((value("q2_mm"), value("v1_mm_s")), (30.0, 0.0));
+        assert!((value("q2_mm") - 30.0).abs() < 1.0e-4 && value("v1_mm_s") == 0.0);
         assert!((value("x_mm") - 30.0).abs() < 1.0e-4, "{}", value("x_mm"));
         assert_eq!(row.measured_mm()[0], value("x_mm"));
         assert_eq!((names[0].label.as_str(), names[0].unit), ("a setpoint", "mm"));

@@ -151,6 +151,9 @@ pub fn moving(geometry: &Geometry, joints_rad: &[f64; AXES], tool_mm: Point) -> 
     let [x, y, z] = tool_mm;
     let [first, second, third, _] = *joints_rad;
     let main: [f64; MAIN_AXES] = [first, second, third];
+    if !main.iter().chain(&tool_mm).all(|value| value.is_finite()) {
+        return Vec::new();
+    }
     let parts = match geometry {
         Geometry::Delta(of) => {
             let mut parts = Vec::new();

@@ -264,19 +264,9 @@ impl Checks<'_> {
                 return;
             }
         }
-        let (volume, reach_mm) = (&self.config.work_area, self.config.geometry.reach_mm());
+        let volume = &self.config.work_area;
         let [[left, right], [front, back]] = [volume.x_mm, volume.y_mm];
         let is_box = [-left, right, -front, back].iter().all(|edge| *edge < volume.radius_mm);
-        if !is_box && volume.radius_mm > reach_mm {
-            found.push(Finding {
-                gravity: Gravity::Warning,
-                line: self.places.of("work_area", &["radius_mm"]),
-                text: format!(
-                    "the work area's radius is {} mm, and the machine reaches {reach_mm:.0} mm; make radius_mm smaller",
-                    volume.radius_mm
-                ),
-            });
-        }
         self.box_reach(&area, is_box, found);
     }
 
@@ -527,8 +517,11 @@ mod tests {
             "{found}"
         );
         let found = finding(SCARA, "radius_mm = 385.0", "radius_mm = 405.0", "radius_mm = 405.0");
-        assert_eq!(found.gravity, Gravity::Warning);
-        assert!(found.text.contains("reaches 400 mm"), "{found}");
+        assert_eq!(found.gravity, Gravity::Error);
+        assert!(
+            found.text.contains("work_area.radius_mm is 405") && found.text.contains("to 400"),
+            "{found}"
+        );
     }
 
     #[test]
@@ -567,15 +560,12 @@ mod tests {
 
     #[test]
     fn unlikely_values_are_warnings() {
-        let found = finding(
-            COREXY,
-            "quick_stop_mm_s2 = 12000.0",
-            "quick_stop_mm_s2 = 2500.0",
-            "quick_stop_mm_s2",
-        );
+        let found = check(&COREXY.replacen("quick_stop_mm_s2 = 12000.0", "quick_stop_mm_s2 = 2500.0", 1));
+        assert_eq!(found.len(), 2, "one for each belt: {found:#?}");
         assert!(
-            found.gravity == Gravity::Warning && found.text.contains("2500 mm/s2"),
-            "{found}"
+            found[0].gravity == Gravity::Warning && found[0].text.contains("2500 mm/s2"),
+            "{}",
+            found[0]
         );
     }
 
