@@ -9,6 +9,7 @@ use etherpen::config::Config;
 use etherpen::robots::{AXES, Geometry, Kind, Kinematics, LINEAR_MM_PER_RAD, MAIN_AXES};
 use serde::Serialize;
 use serde::ser::{SerializeMap, Serializer};
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// Metres for a radian of a linear axis.
 const M_PER_RAD: f64 = LINEAR_MM_PER_RAD / 1_000.0;
@@ -48,6 +49,25 @@ pub fn as_written(kind: Kind, axis: usize, name: &str) -> Option<(&'static str, 
     let is_linear = motion(kind, axis) == Motion::Linear;
     let unit = LINEAR.iter().find(|Unit(_, to, _)| is_linear && *to == name);
     unit.map(|Unit(from, _, factor)| (*from, 1.0 / factor))
+}
+
+/// Place of the kind of this process's machine in [`Kind::ALL`].
+static MACHINE: AtomicUsize = AtomicUsize::new(0);
+
+/// Tells texts about faults and refusals what kind of machine this process works with: those messages number an axis, and
+/// their values are the controller's.
+pub fn set_machine(kind: Kind) {
+    let place = Kind::ALL.iter().position(|other| *other == kind);
+    MACHINE.store(place.unwrap_or(0), Ordering::Relaxed);
+}
+
+/// The kind of machine this process works with, see [`set_machine`]; before, the built-in machine's.
+#[must_use]
+pub fn machine() -> Kind {
+    Kind::ALL
+        .get(MACHINE.load(Ordering::Relaxed))
+        .copied()
+        .unwrap_or_default()
 }
 
 /// How an axis moves.

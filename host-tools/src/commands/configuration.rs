@@ -2,10 +2,12 @@
 
 use super::ports::OptionalPort;
 use super::{ConfigArguments, print_json};
+use crate::axes::{self, Motion};
 use crate::error::{ProgramError, code};
 use crate::settings::checking::{self, Finding, Gravity};
 use crate::settings::starting::{self, SIZES, Wishes};
 use crate::terminal::counted;
+use etherpen::config::Config;
 use etherpen::robots::Kind;
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -300,16 +302,23 @@ fn entries(show: &Show) -> Result<BTreeMap<String, ConfigEntry>, ProgramError> {
     let built_in = "built-in";
     let values = serde_json::to_value(&config).map_err(|cause| failed(&cause))?;
     flatten(&values, "", &mut |key, value| {
-        let (value, origin) = (value.clone(), built_in.to_owned());
-        entries.insert(key, ConfigEntry { value, origin });
+        let origin = built_in.to_owned();
+        if let Some((key, value)) = in_units(&config, key, value) {
+            entries.insert(key, ConfigEntry { value, origin });
+        }
     });
     if let Some((path, how)) = show.config.file() {
         let text = std::fs::read_to_string(&path).map_err(|cause| failed(&cause))?;
         let written: serde_json::Value = toml::from_str(&text).map_err(|cause| failed(&cause))?;
         let origin = format!("{} ({how})", path.display());
         flatten(&written, "", &mut |key, _| {
-            if let Some(entry) = entries.get_mut(&key) {
-                entry.origin.clone_from(&origin);
+            let shared = key.strip_prefix("axis_defaults.");
+            let of_axes = shared.map_or(0, |_| usize::from(config.bus.drives));
+            let keys = (0..of_axes).map(|axis| format!("axes[{axis}].{}", shared.unwrap_or_default()));
+            for key in keys.chain([key.clone()]) {
+                if let Some(entry) = entries.get_mut(&key) {
+                    entry.origin.clone_from(&origin);
+                }
             }
         });
     }
@@ -321,6 +330,36 @@ fn entries(show: &Show) -> Result<BTreeMap<String, ConfigEntry>, ProgramError> {
     let origin = origin.to_owned();
     entries.insert("port".into(), ConfigEntry { value, origin });
     Ok(entries)
+}
+
+/// A value as a configuration file names and writes it; `None` for one of an axis that the machine lacks.
+fn in_units(config: &Config, key: String, value: &serde_json::Value) -> Option<(String, serde_json::Value)> {
+    let kind = config.geometry.kind();
+    let list = |name: &str| Some(key.strip_prefix(name)?.strip_prefix('[')?.split_once(']')?);
+    let exists = |axis: &str| axis.parse().ok().filter(|axis| *axis < usize::from(config.bus.drives));
+    let scaled = |factor: f64| value.as_f64().map_or(value.clone(), |number| (number * factor).into());
+    if let Some((axis, name)) = list("axes") {
+        let axis = exists(axis)?;
+        return Some(match axes::as_written(kind, axis, name.trim_start_matches('.')) {
+            Some((name, factor)) => (format!("axes[{axis}].{name}"), scaled(factor)),
+            None => (key, value.clone()),
+        });
+    }
+    for (name, written) in [
+        ("motion.joint_speed_rad_s", "motion.joint_speed"),
+        ("motion.joint_acceleration_rad_s2", "motion.joint_acceleration"),
+    ] {
+        if let Some((axis, _)) = list(name) {
+            let axis = exists(axis)?;
+            let is_mixed = axes::motions(kind).contains(&Motion::Linear);
+            let factor = axes::motion(kind, axis).factor();
+            return Some(match is_mixed {
+                true => (format!("{written}[{axis}]"), scaled(factor)),
+                false => (key, value.clone()),
+            });
+        }
+    }
+    Some((key, value.clone()))
 }
 
 /// Visits every value that is not a table; list indices count from 0, in brackets.
@@ -385,5 +424,23 @@ mod tests {
         assert_eq!(entries["motion.travel_speed_mm_s"].origin, "built-in");
         assert_eq!(entries["axes[3].gear"].origin, "built-in");
         assert_eq!(entries["port"].origin, "flag --port");
+    }
+
+    #[test]
+    fn a_machine_with_linear_axes_is_shown_as_its_file_writes_it() {
+        let gantry = crate::settings::machines::MACHINES[1];
+        let path = std::env::temp_dir().join(format!("etherpen-linear-{}.toml", std::process::id()));
+        std::fs::write(&path, gantry.text).unwrap();
+        let entries = show(Some(path.clone()));
+        std::fs::remove_file(&path).unwrap();
+        let speed = &entries["axes[2].output_max_mm_s"];
+        assert_eq!(speed.value, serde_json::json!(1300.0));
+        assert!(
+            speed.origin.contains("flag --config"),
+            "shared by the axes: {}",
+            speed.origin
+        );
+        assert_eq!(entries["motion.joint_speed[2]"].value, serde_json::json!(300.0));
+        assert!(entries.keys().all(|key| !key.starts_with("axes[3]")), "three drives");
     }
 }

@@ -5,13 +5,13 @@
 pub mod bus;
 mod faults;
 
-use crate::axes::{self, Motion};
+use crate::axes::{self, Motion, Quantity};
 use etherpen::application::{Fault, IoRefusal, Mode, Refusal};
 use etherpen::board::{PreviousRun, RunEnd};
 use etherpen::config::{ConfigError, IO_NAME_MAX, IoError, IoRole};
 use etherpen::messages::{Command, ConfigRefusal, Status};
 use etherpen::motion::{Outside, RefusalReason};
-use etherpen::robots::{KinematicsError, Words};
+use etherpen::robots::{Kinematics, KinematicsError, Words};
 pub use faults::fault;
 use std::borrow::Cow;
 
@@ -162,8 +162,9 @@ const MOVE_OR_SCALE: &str = "move or scale the drawing so that it lies within th
 
 /// Why a position is outside the work area.
 pub fn outside(outside: &Outside) -> String {
-    let words = Words::default();
-    let noun = words.joint;
+    let machine = axes::machine().geometry();
+    let words = Kinematics::new(&machine).map_or_else(|_| Words::default(), |kinematics| kinematics.words());
+    let joint_name = |joint: u8| axes::name(&machine, joint.into());
     match *outside {
         Outside::Radius { radius_mm, limit_mm } => {
             format!("it is {radius_mm:.1} mm from the robot's axis (limit {limit_mm:.1} mm)")
@@ -174,10 +175,10 @@ pub fn outside(outside: &Outside) -> String {
         Outside::Kinematics(KinematicsError::Apart) => format!("the {} do not meet there", words.last_links),
         Outside::Kinematics(KinematicsError::NotFinite) => "a coordinate is not a finite number".into(),
         Outside::Kinematics(KinematicsError::Unreachable { joint, .. }) => {
-            format!("{noun} {} does not reach it", one(joint))
+            format!("{} does not reach it", joint_name(joint))
         }
         Outside::Kinematics(KinematicsError::Singular { joint, .. }) | Outside::Stretched { joint, .. } => {
-            format!("{noun} {} would be stretched out", one(joint))
+            format!("{} would be stretched out", joint_name(joint))
         }
         Outside::Kinematics(KinematicsError::Range {
             joint,
@@ -190,10 +191,15 @@ pub fn outside(outside: &Outside) -> String {
             angle_rad,
             low_rad,
             high_rad,
-        } => format!(
-            "{noun} {} would be at {angle_rad:.3} rad (allowed {low_rad:.3} to {high_rad:.3} rad)",
-            one(joint)
-        ),
+        } => {
+            let motion = axes::motion(machine.kind(), joint.into());
+            let (unit, factor) = (motion.unit(Quantity::Position), motion.factor());
+            let [angle, low, high] = [angle_rad, low_rad, high_rad].map(|value| value * factor);
+            format!(
+                "{} would be at {angle:.3} {unit} (allowed {low:.3} to {high:.3} {unit})",
+                joint_name(joint)
+            )
+        }
         Outside::InnerRadius { radius_mm, limit_mm } => {
             format!("it is only {radius_mm:.1} mm from the robot's axis (at least {limit_mm:.1} mm)")
         }

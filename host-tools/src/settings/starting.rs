@@ -208,7 +208,13 @@ fn resize(document: &mut DocumentMut, kind: Kind, sizes_mm: [f64; SIZES.len()]) 
             geometry("y_range_mm", range(y_mm).into());
             set(document.get_mut("work_area"), "x_mm", range(inside(x_mm)));
             set(document.get_mut("work_area"), "y_mm", range(inside(y_mm)));
-            set(document.get_mut("work_area"), "radius_mm", rounded(width.hypot(depth)));
+            // Not farther than the farthest corner.
+            let corner_mm = width.hypot(depth) * if middle { 0.5 } else { 1.0 };
+            set(
+                document.get_mut("work_area"),
+                "radius_mm",
+                (corner_mm * 10.0).floor() / 10.0,
+            );
             let centre = if middle { [0.0; 2] } else { [0.5 * width, 0.5 * depth] };
             let side = (0.6 * width.min(depth)).min(200.0);
             sheet(document, centre, side);
