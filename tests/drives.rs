@@ -38,7 +38,9 @@ fn draw(kind: SlaveKind, mode: AxisMode) -> Report {
     let report = conclude(&task, &prepared, &drawn, String::new(), None).expect("the drawing was drawn");
     println!(
         "{name}: path deviation {:.4} mm at most, {:.4} mm rms; following error {}",
-        report.path_deviation_max_mm, report.path_deviation_rms_mm, report.following_error_max.text()
+        report.path_deviation_max_mm,
+        report.path_deviation_rms_mm,
+        report.following_error_max.text()
     );
     let counted = [
         report.cycles_late,
