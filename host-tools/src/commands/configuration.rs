@@ -335,7 +335,7 @@ fn entries(show: &Show) -> Result<BTreeMap<String, ConfigEntry>, ProgramError> {
 /// A value as a configuration file names and writes it; `None` for one of an axis that the machine lacks.
 fn in_units(config: &Config, key: String, value: &serde_json::Value) -> Option<(String, serde_json::Value)> {
     let kind = config.geometry.kind();
-    let list = |name: &str| Some(key.strip_prefix(name)?.strip_prefix('[')?.split_once(']')?);
+    let list = |name: &str| key.strip_prefix(name)?.strip_prefix('[')?.split_once(']');
     let exists = |axis: &str| axis.parse().ok().filter(|axis| *axis < usize::from(config.bus.drives));
     let scaled = |factor: f64| value.as_f64().map_or(value.clone(), |number| (number * factor).into());
     if let Some((axis, name)) = list("axes") {

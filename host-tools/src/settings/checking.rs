@@ -398,7 +398,8 @@ impl Checks<'_> {
             ("motion", "speeds and accelerations"),
             ("axes", "the drives and their axes"),
         ] {
-            if !self.places.has(table) && !(table == "axes" && self.places.has("axis_defaults")) {
+            let is_shared = table == "axes" && self.places.has("axis_defaults");
+            if !(self.places.has(table) || is_shared) {
                 let name = if table == "axes" {
                     "[[axes]]"
                 } else {
