@@ -37,8 +37,10 @@ fn draw(kind: SlaveKind, mode: AxisMode) -> Report {
     let drawn = run::simulate(&task, None, &mut |_| {}).expect("nothing is captured");
     let report = conclude(&task, &prepared, &drawn, String::new(), None).expect("the drawing was drawn");
     println!(
-        "{name}: path deviation {:.4} mm at most, {:.4} mm rms; following error {:?} rad",
-        report.path_deviation_max_mm, report.path_deviation_rms_mm, report.following_error_max_rad
+        "{name}: path deviation {:.4} mm at most, {:.4} mm rms; following error {}",
+        report.path_deviation_max_mm,
+        report.path_deviation_rms_mm,
+        report.following_error_max.text()
     );
     let counted = [
         report.cycles_late,

@@ -51,13 +51,11 @@ fn assert_clean(machine: &Machine, prepared: &Prepared, task: &RunTask, drawn: &
     // No line of ink that nobody ordered.
     let [ordered, drawn] = [report.strokes, drawn.cell.ink().len()];
     assert_eq!(ordered, drawn, "{}: strokes", machine.name);
-    for axis in report.limits.iter().take(task.config.bus.drives.into()) {
-        assert!(axis.speed_rad_s <= axis.speed_limit_rad_s, "{}: {axis:?}", machine.name);
-        assert!(
-            axis.acceleration_rad_s2 <= axis.acceleration_limit_rad_s2,
-            "{}: {axis:?}",
-            machine.name
-        );
+    assert_eq!(report.limits.len(), usize::from(task.config.bus.drives));
+    for axis in &report.limits {
+        for [reached, limit] in [axis.speed, axis.acceleration] {
+            assert!(reached <= limit, "{}: {axis:?}", machine.name);
+        }
     }
     report
 }

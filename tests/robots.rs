@@ -35,7 +35,7 @@ const KINDS: [Kind; 5] = [
             "host-tools/src/cell/calibration.rs",
             "host-tools/src/cell/mechanism/delta.rs",
             "host-tools/src/planning/dimensions.rs",
-            "host-tools/assets/console/robot_delta.js",
+            "host-tools/src/console/skeleton.rs",
         ],
     },
     Kind {
@@ -45,6 +45,9 @@ const KINDS: [Kind; 5] = [
             "crates/certify/src/robot/gantry.rs",
             "crates/monitor/src/robot/gantry.rs",
             "crates/motion/src/robots/gantry.rs",
+            "host-tools/src/cell/mechanism/linked.rs",
+            "host-tools/src/console/skeleton.rs",
+            "samples/machines/gantry.toml",
         ],
     },
     Kind {
@@ -54,6 +57,9 @@ const KINDS: [Kind; 5] = [
             "crates/certify/src/robot/corexy.rs",
             "crates/monitor/src/robot/corexy.rs",
             "crates/motion/src/robots/corexy.rs",
+            "host-tools/src/cell/mechanism/linked.rs",
+            "host-tools/src/console/skeleton.rs",
+            "samples/machines/corexy.toml",
         ],
     },
     Kind {
@@ -63,6 +69,9 @@ const KINDS: [Kind; 5] = [
             "crates/certify/src/robot/scara.rs",
             "crates/monitor/src/robot/scara.rs",
             "crates/motion/src/robots/scara.rs",
+            "host-tools/src/cell/mechanism/linked.rs",
+            "host-tools/src/console/skeleton.rs",
+            "samples/machines/scara.toml",
         ],
     },
     Kind {
@@ -73,6 +82,9 @@ const KINDS: [Kind; 5] = [
             "crates/monitor/src/robot/linear_delta.rs",
             "crates/motion/src/robots/linear_delta.rs",
             "host-tools/src/campaign/robot/linear_delta.rs",
+            "host-tools/src/cell/mechanism/linked.rs",
+            "host-tools/src/console/skeleton.rs",
+            "samples/machines/linear-delta.toml",
         ],
     },
 ];
@@ -91,7 +103,7 @@ const NAMES: [(&str, &str); 6] = [
 const CHECK: &str = "tests/robots.rs";
 
 /// Files that choose a kind, and may name it, but none of its parts.
-const SEAMS: [&str; 10] = [
+const SEAMS: [&str; 14] = [
     "crates/certify/src/robot/mod.rs",
     "crates/monitor/src/robot/mod.rs",
     "crates/motion/src/robots/geometry.rs",
@@ -101,7 +113,11 @@ const SEAMS: [&str; 10] = [
     "host-tools/src/planning/dimensions.rs",
     "host-tools/src/cell/mechanism/mod.rs",
     "host-tools/assets/console/robot.js",
+    "host-tools/src/axes.rs",
     "host-tools/src/console/assets.rs",
+    "host-tools/src/settings/machines.rs",
+    "host-tools/src/settings/starting.rs",
+    "tests/machines.rs",
 ];
 
 /// Phrases in which a word has another meaning.

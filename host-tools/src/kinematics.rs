@@ -3,6 +3,7 @@
 //! Only reach and singularity are checked; `plan` and `draw` check the work area. The joints' range is checked if the
 //! geometry's file gives one.
 
+use crate::axes::{AxisView, Motion, PerAxis, Quantity, first_axes};
 use crate::error::{ProgramError, code};
 use etherpen::robots::{
     Conditioning, Geometry, JointAngles, Kinematics, KinematicsError, MAIN_AXES, Measured, Position, RATIO_SINGULAR,
@@ -15,7 +16,11 @@ const DETERMINANT_SINGULAR: f64 = 1.0e-9;
 /// The solution in either direction.
 #[derive(Debug, Serialize)]
 pub struct Answer {
-    /// Angles of the main axes, rad.
+    /// The main axes, each in its own unit.
+    #[serde(flatten)]
+    pub joints: PerAxis,
+    /// Angles of the main axes, rad; of a linear axis the controller's.
+    #[serde(skip)]
     pub joints_rad: [f64; MAIN_AXES],
     /// Position of the tool, mm.
     pub position_mm: [f64; 3],
@@ -25,6 +30,7 @@ pub struct Answer {
 #[derive(Debug)]
 pub struct Robot {
     kinematics: Kinematics,
+    axes: Vec<AxisView>,
     /// Range of the joints, rad, if the geometry's file gives one.
     range_rad: Option<[f64; 2]>,
 }
@@ -51,7 +57,12 @@ impl Robot {
     fn of(geometry: &Geometry, range_rad: Option<[f64; 2]>) -> Result<Self, String> {
         let kinematics =
             Kinematics::new(geometry).map_err(|cause| format!("the dimensions do not form a valid robot: {cause}"))?;
-        Ok(Self { kinematics, range_rad })
+        let axes = first_axes(geometry, MAIN_AXES);
+        Ok(Self {
+            kinematics,
+            axes,
+            range_rad,
+        })
     }
 
     /// Noun for a main axis of the robot.
@@ -84,10 +95,29 @@ impl Robot {
             .inverse(&position)
             .map_err(|cause| self.no_answer(&cause))?;
         self.check_regular(&position)?;
-        Ok(Answer {
+        Ok(self.answer(joints_rad, position_mm))
+    }
+
+    fn answer(&self, joints_rad: [f64; MAIN_AXES], position_mm: [f64; 3]) -> Answer {
+        let [first, second, third] = joints_rad;
+        let all_rad = [first, second, third, 0.0];
+        Answer {
+            joints: PerAxis::new("joints", self.axes.clone(), Some(&all_rad)),
             joints_rad,
             position_mm,
-        })
+        }
+    }
+
+    /// Position for the main axes, each in its own unit: rad or mm.
+    ///
+    /// # Errors
+    /// As [`forward`](Self::forward).
+    pub fn forward_in_units(&self, joints: [f64; MAIN_AXES]) -> Result<Answer, ProgramError> {
+        let mut joints_rad = joints;
+        for (joint, axis) in joints_rad.iter_mut().zip(&self.axes) {
+            *joint /= axis.motion.factor();
+        }
+        self.forward(joints_rad)
     }
 
     /// Position for joint angles, rad.
@@ -119,10 +149,7 @@ impl Robot {
         let pose = JointAngles([first, second, third, 0.0]);
         let position = self.kinematics.forward(&pose).map_err(|cause| self.no_answer(&cause))?;
         self.check_regular(&position)?;
-        Ok(Answer {
-            joints_rad,
-            position_mm: position.into(),
-        })
+        Ok(self.answer(joints_rad, position.into()))
     }
 
     /// Refuses poses in which the joints do not hold the tool firmly.
@@ -148,6 +175,11 @@ impl Robot {
     fn no_answer(&self, cause: &KinematicsError) -> ProgramError {
         let words = self.kinematics.words();
         let noun = words.joint;
+        let of_range = |joint: u8| {
+            self.axes
+                .get(usize::from(joint))
+                .map_or(Motion::Rotary, |axis| axis.motion)
+        };
         let why = match *cause {
             KinematicsError::NotFinite => "a value is no finite number".into(),
             KinematicsError::Unreachable { joint, .. } => {
@@ -163,10 +195,19 @@ impl Robot {
                 angle_rad,
                 low_rad,
                 high_rad,
-            } => format!(
-                "out of range: {noun} {} at {angle_rad} rad, the geometry gives it {low_rad} to {high_rad} rad",
-                joint + 1
-            ),
+            } => {
+                let motion = of_range(joint);
+                let (unit, factor) = (motion.unit(Quantity::Position), motion.factor());
+                format!(
+                    "out of range: {} at {} {unit}, the geometry gives it {} to {} {unit}",
+                    self.axes
+                        .get(usize::from(joint))
+                        .map_or("an axis", |axis| axis.name.as_str()),
+                    angle_rad * factor,
+                    low_rad * factor,
+                    high_rad * factor
+                )
+            }
             KinematicsError::Apart => format!(
                 "unreachable: with these angles the {} of {noun}s 1, 2 and 3 do not meet in one platform",
                 words.last_links
@@ -222,6 +263,19 @@ mod tests {
         );
         let message = |joints| robot.forward(joints).unwrap_err().message;
         assert!(message([0.1, f64::INFINITY, 0.1]).starts_with("arm 2 is inf"));
+    }
+
+    #[test]
+    fn linear_axes_are_told_and_taken_in_millimetres() {
+        let robot = Robot::new(etherpen::robots::Kind::Gantry.geometry()).unwrap();
+        let answer = robot.inverse([120.0, 30.5, -20.0]).unwrap();
+        let json = serde_json::to_value(&answer).unwrap();
+        let joints: Vec<f64> = serde_json::from_value(json["joints_mm"].clone()).unwrap();
+        let back = robot.forward_in_units([joints[0], joints[1], joints[2]]).unwrap();
+        assert_eq!(joints.len(), 3);
+        for (value, expected) in back.position_mm.iter().zip([120.0, 30.5, -20.0]) {
+            assert!((value - expected).abs() < 1.0e-9, "{value}");
+        }
     }
 
     #[test]

@@ -4,7 +4,7 @@
 //!
 //! A module imports modules of lower layers only; the test of [`layers`] reads this list and the sources.
 //!
-//! 1. `error`, `hash`, `random`, `terminal`, `layers`: what every module may use
+//! 1. `error`, `hash`, `random`, `terminal`, `layers`, `axes`: what every module may use
 //! 2. `output_file`, `setup`, `probe`, `firmware_image`, `matching`, `kinematics`, `planning`, `identification`: files,
 //!    programs and computations
 //! 3. `drawing`, `link`, `cell`, `emulator`, `master`, `probe::flash`: strokes of a file; the host's end of the link to
@@ -23,6 +23,7 @@
 //! 10. `commands`: options, calls and printed results of the program's commands
 #![forbid(unsafe_code)]
 
+pub mod axes;
 pub mod bench;
 pub mod black_box;
 pub mod bus;

@@ -52,7 +52,7 @@ enum Subcommand {
     Doctor(doctor::Arguments),
     /// Build the firmware of the board NUCLEO-H743ZI2, write it to the board and verify it.
     Flash(flash::Arguments),
-    /// Show the configuration, with the origin of each value.
+    /// Write or check a configuration file, or show the configuration with the origin of each value.
     Config(configuration::Arguments),
     /// Home: find the robot's pose from the resolvers, at the marks or at a known pose, and store it.
     #[command(visible_alias = "home")]

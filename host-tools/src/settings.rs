@@ -6,8 +6,10 @@
 //! Invariant: the written file is a valid configuration within its bounds; the file is replaced as a whole or not at
 //! all.
 
+pub mod checking;
 pub mod machines;
 pub mod reading;
+pub mod starting;
 
 use crate::error::{ProgramError, code};
 use crate::link::text;
@@ -79,7 +81,10 @@ fn shortened(cause: &impl std::fmt::Display) -> String {
 }
 
 /// Reads a file of limited size.
-fn read(path: &Path) -> io::Result<String> {
+///
+/// # Errors
+/// The file cannot be read, is too large, or is not text.
+pub fn read(path: &Path) -> io::Result<String> {
     let mut bytes = Vec::new();
     File::open(path)?.take(FILE_BYTES_MAX + 1).read_to_end(&mut bytes)?;
     if bytes.len() as u64 > FILE_BYTES_MAX {
@@ -115,18 +120,10 @@ fn checked(text: &str, shown: &dyn std::fmt::Display) -> Result<Config, ProgramE
             format!("the configuration {shown} is wrong:\n{}", shortened(&cause)),
         )
     })?;
-    config.check().map_err(|cause| {
-        ProgramError::new(
-            code::USAGE,
-            format!("the configuration {shown} is wrong: {}", text::config_error(&cause)),
-        )
-    })?;
-    config.check_io().map_err(|cause| {
-        ProgramError::new(
-            code::USAGE,
-            format!("the configuration {shown} is wrong: {}", text::io_error(&cause)),
-        )
-    })?;
+    if let Some(finding) = checking::first_error(text) {
+        let message = format!("the configuration {shown} is wrong: {finding}");
+        return Err(ProgramError::new(code::USAGE, message));
+    }
     Ok(config)
 }
 

@@ -39,15 +39,16 @@ pub(crate) fn read(bytes: &[u8]) -> io::Result<usize> {
     assert!(playback.notices().iter().all(|notice| !notice.is_empty()));
     let fresh = || Playback::new(bytes);
     statistics(&mut fresh()?)?;
-    let table = write_csv(&mut fresh()?, &table_columns(None), io::sink());
+    let config = fresh()?.config().unwrap_or_default();
+    let table = write_csv(&mut fresh()?, &table_columns(&config, None), io::sink());
     let rows = table.as_ref().map_or(0, |table| table.rows);
     assert!(rows <= count as u64);
     // What has become of the table is known from the other readers.
-    let _ = write_parquet(&mut fresh()?, &table_columns(None), io::sink());
+    let _ = write_parquet(&mut fresh()?, &table_columns(&config, None), io::sink());
     let mut part = fresh()?;
     part.select(Some(0.001), Some(0.01));
     while part.next_entry()?.is_some() {}
-    if let Ok(signals) = named("q1_*") {
+    if let Ok(signals) = named("q1_*", &config) {
         plot(&mut fresh()?, &signals, Form::Svg)?;
     }
     Ok(count)

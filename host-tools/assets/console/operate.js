@@ -204,22 +204,27 @@ function positions(link) {
     actual.push(measured);
     return [commanded, measured];
   });
-  const bars = [1, 2, 3, 4].map((axis) => {
-    const [bar, value] = [element("meter", { min: 0, max: 100, value: 0, ariaLabel: `following error of axis ${axis}` }), element("output")];
-    $("errors").append(element("span", {}, `axis ${axis}`), bar, value);
-    return [bar, value];
+  let bars = [];
+  let peaks = [];
+  link.on("robot", (robot) => {
+    if (!robot || bars.length) return;
+    peaks = robot.axes.map(() => 0);
+    bars = robot.axes.map(({ name, error_unit: unit }) => {
+      const [bar, value] = [element("meter", { min: 0, max: 100, value: 0, ariaLabel: `following error of ${name}` }), element("output")];
+      $("errors").append(element("span", {}, name), bar, value);
+      return [bar, value, unit];
+    });
   });
   // For a drive that does not answer, the firmware reports expected values, not actual ones.
   link.on("status", (status) => {
-    const silent = [0, 1, 2, 3].map((axis) => (status?.slaves[axis]?.silent_s ?? null) !== null);
-    bars.forEach((bar, axis) => bar.forEach((node) => node.classList.toggle("old", silent[axis])));
+    const silent = bars.map((_, axis) => (status?.slaves[axis]?.silent_s ?? null) !== null);
+    bars.forEach(([bar, value], axis) => [bar, value].forEach((node) => node.classList.toggle("old", silent[axis])));
     actual.forEach((cell) => cell.classList.toggle("old", silent.slice(0, 3).includes(true)));
   });
-  const peaks = [0, 0, 0, 0];
   let shown = 0;
   link.on("pose", (pose) => {
     if (!pose) return;
-    pose.errors_rad.forEach((error, axis) => (peaks[axis] = Math.max(peaks[axis] * 0.97, Math.abs(error ?? 0) * 1e6)));
+    pose.errors.forEach((error, axis) => (peaks[axis] = Math.max((peaks[axis] ?? 0) * 0.97, Math.abs(error ?? 0))));
     const now = performance.now();
     if (now - shown < 90) return;
     shown = now;
@@ -227,9 +232,9 @@ function positions(link) {
       text(commanded, number(pose.commanded_mm[axis], 2));
       text(measured, number(pose.measured_mm[axis], 2));
     });
-    bars.forEach(([bar, value], axis) => {
+    bars.forEach(([bar, value, unit], axis) => {
       bar.value = Math.min(100, (Math.log10(1 + peaks[axis]) / 4) * 100);
-      text(value, `${number(peaks[axis], 0)} µrad`);
+      text(value, `${number(peaks[axis], 0)} ${unit}`);
     });
     $("pen-down").setAttribute("aria-pressed", String(pose.pen_down));
     $("pen-up").setAttribute("aria-pressed", String(!pose.pen_down));

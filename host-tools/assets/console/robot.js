@@ -1,16 +1,16 @@
 // The robot from the side and from above, where its joints are measured, with its pen, the sheet and the work area.
+// The console sends the machine's parts as lines and rings; the page knows no kind of machine.
 
 import { $, Canvas } from "./dom.js";
-import { drawMechanism } from "./robot_delta.js";
 
 const PEN_MM = 60;
+const STYLES = { base: [5, "metal"], link: [6, "ink"], rod: [1.8, "soft"], joint: [5, "metal"], platform: [4, "accent"] };
 
 export function robot(link) {
   let dirty = true;
-  const views = [
-    { screen: new Canvas($("side"), () => (dirty = true)), flat: ([x, , z]) => [x, -z], depth: ([, y]) => -y, fades: true, box: [-600, -110, 600, 1010] },
-    { screen: new Canvas($("top"), () => (dirty = true)), flat: ([x, y]) => [x, -y], depth: ([, , z]) => z, fades: false, box: [-620, -620, 620, 620] },
-  ];
+  const side = { flat: ([x, , z]) => [x, -z], depth: ([, y]) => -y, fades: true, box: ([x, , z]) => [x[0], -z[1], x[1], -z[0]] };
+  const top = { flat: ([x, y]) => [x, -y], depth: ([, , z]) => z, fades: false, box: ([x, y]) => [x[0], -y[1], x[1], -y[0]] };
+  const views = [[side, "side"], [top, "top"]].map(([view, id]) => ({ ...view, screen: new Canvas($(id), () => (dirty = true)) }));
 
   const draw = () => {
     requestAnimationFrame(draw);
@@ -23,7 +23,7 @@ export function robot(link) {
   const paint = ({ screen, flat, depth, fades, box }, constants, pose) => {
     const { context, colours } = screen;
     screen.clear();
-    const [left, top, right, bottom] = box;
+    const [left, top, right, bottom] = box(constants.bounds_mm);
     const scale = Math.min(screen.width / (right - left), screen.height / (bottom - top));
     const at = (point) => {
       const [x, y] = flat(point);
@@ -42,14 +42,26 @@ export function robot(link) {
       context.fillStyle = colour;
       context.fill();
     };
+    const part = ({ style, points_mm: points, ring_mm: radius }) => {
+      const [width, colour] = STYLES[style];
+      const far = fades && Math.min(...points.map(depth)) < middle - 10 && (style === "link" || style === "rod");
+      context.globalAlpha = far ? 0.55 : 1;
+      if (radius) line(ring(points[0], radius), width, colours[colour]);
+      else if (points.length === 1) dot(points[0], width, colours[colour]);
+      else line(points, width, colours[colour]);
+      context.globalAlpha = 1;
+    };
     context.lineCap = context.lineJoin = "round";
     workspace(constants, line, at, context, colours);
-    const measured = pose && Number.isFinite(pose.measured_mm[2]) ? pose : null;
-    drawMechanism(constants.geometry, measured, { context, colours, line, dot, depth, fades });
-    if (!measured) return;
-    const platform = measured.measured_mm;
-    const tip = [platform[0], platform[1], platform[2] - PEN_MM];
-    line([platform, tip], 3, colours.accent);
+    const parts = pose?.parts ?? [];
+    const tool = pose?.measured_mm;
+    const middle = tool ? depth(tool) : 0;
+    constants.parts.forEach(part);
+    const near = (of) => Math.max(...of.points_mm.map(depth));
+    [...parts].sort((a, b) => near(a) - near(b)).forEach(part);
+    if (!parts.length) return;
+    const tip = [tool[0], tool[1], tool[2] - PEN_MM];
+    line([tool, tip], 3, colours.accent);
     dot(tip, 2.5, colours.accent);
   };
 
@@ -66,13 +78,21 @@ export function robot(link) {
     context.fill();
     line([...corners, corners[0]], 1.5, colours["sheet-edge"]);
     context.setLineDash([3, 5]);
-    const circle = (height) => Array.from({ length: 61 }, (_, index) => [area.radius_mm * Math.cos((index * Math.PI) / 30), area.radius_mm * Math.sin((index * Math.PI) / 30), height]);
-    line(circle(area.z_low_mm), 1, colours.faint);
-    line(circle(area.z_high_mm), 1, colours.faint);
+    for (const level of [area.z_low_mm, area.z_high_mm]) for (const outline of outlines(area, level)) line(outline, 1, colours.faint);
     context.setLineDash([]);
   };
 
   link.on("pose", () => (dirty = true));
   link.on("robot", () => (dirty = true));
   requestAnimationFrame(draw);
+}
+
+const ring = ([x, y, z], radius) => Array.from({ length: 49 }, (_, index) => [x + radius * Math.cos((index * Math.PI) / 24), y + radius * Math.sin((index * Math.PI) / 24), z]);
+
+// The borders of the work area at a height: a rectangle where x and y are limited, else a circle, and the hole of a ring.
+function outlines({ x_mm: [left, right], y_mm: [front, back], radius_mm: radius, inner_radius_mm: hole }, z) {
+  const boxed = Math.max(-left, right, -front, back) < radius;
+  const rectangle = [[left, front, z], [right, front, z], [right, back, z], [left, back, z], [left, front, z]];
+  const outer = boxed ? rectangle : ring([0, 0, z], radius);
+  return hole > 0 ? [outer, ring([0, 0, z], hole)] : [outer];
 }

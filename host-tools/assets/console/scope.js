@@ -6,15 +6,11 @@ import { Columns, Plot } from "./plot.js";
 const WINDOWS_S = [1, 2, 5, 10, 20, 30, 60];
 const DELAY_MS = 60;
 const PRESETS = [
-  ["axis 1", (signal) => signal.axis === 1],
-  ["axis 2", (signal) => signal.axis === 2],
-  ["axis 3", (signal) => signal.axis === 3],
-  ["axis 4", (signal) => signal.axis === 4],
   ["following errors", (signal) => signal.name.startsWith("e")],
   ["setpoint and actual", (signal) => /^q/.test(signal.name)],
   ["velocities", (signal) => /^v/.test(signal.name)],
   ["platform", (signal) => signal.axis === 0 && signal.unit === "mm"],
-  ["speed of the pen", (signal) => signal.unit === "mm/s"],
+  ["speed of the pen", (signal) => signal.axis === 0 && signal.unit === "mm/s"],
   ["16 signals", (signal) => /^[qv]\d/.test(signal.name)],
 ];
 
@@ -47,7 +43,7 @@ export class Scope {
     this.controls();
     this.pointer();
     this.triggers();
-    link.on("robot", (robot) => robot && this.begin(robot.signals));
+    link.on("robot", (robot) => robot && this.begin(robot));
     link.on("open", () => this.watch());
     link.on("columns", (columns) => this.take(columns));
     link.on("log", (lines) => this.mark(lines));
@@ -57,12 +53,13 @@ export class Scope {
     requestAnimationFrame((now) => this.frame(now));
   }
 
-  begin(signals) {
+  begin({ signals, axes }) {
     if (this.all) return;
     this.all = signals;
+    this.presets = [...axes.map(({ name }, index) => [name, (signal) => signal.axis === index + 1]), ...PRESETS];
     $("scope-window").options = WINDOWS_S.map((seconds) => [seconds, `${seconds} s`]);
     $("scope-window").value = "10";
-    $("scope-preset").options = [["", "own choice"], ...PRESETS.map(([name], index) => [index, name])];
+    $("scope-preset").options = [["", "own choice"], ...this.presets.map(([name], index) => [index, name])];
     $("trigger-signal").options = signals.map((signal, index) => [index, `${signal.label}, ${signal.unit}`]);
     $("trigger-signal").value = "0";
     signals.forEach((signal, index) => {
@@ -74,7 +71,7 @@ export class Scope {
   }
 
   preset(index) {
-    const [, wanted] = PRESETS[index];
+    const [, wanted] = this.presets[index];
     this.choose(this.all.map((signal, number) => (wanted(signal) ? number : -1)).filter((number) => number >= 0));
   }
 

@@ -1,11 +1,17 @@
-//! `etherpen config show`: the values in effect, and the source of each.
+//! `etherpen config`: a new configuration file, checks of one, and the values in effect with the source of each.
 
 use super::ports::OptionalPort;
 use super::{ConfigArguments, print_json};
+use crate::axes::{self, Motion};
 use crate::error::{ProgramError, code};
+use crate::settings::checking::{self, Finding, Gravity};
+use crate::settings::starting::{self, SIZES, Wishes};
+use crate::terminal::counted;
+use etherpen::config::Config;
+use etherpen::robots::Kind;
 use serde::Serialize;
 use std::collections::BTreeMap;
-use std::io::Write;
+use std::io::{IsTerminal, Write};
 use std::path::PathBuf;
 
 /// Options of `etherpen config`.
@@ -22,6 +28,83 @@ enum Command {
     /// Values come from the built-in IRB 340 and from a file that overrides it (--config, else ETHERPEN_CONFIG, else
     /// etherpen.toml in this folder). The port comes from --port, else ETHERPEN_PORT.
     Show(Show),
+    /// Check a configuration file: what is wrong with line and remedy, what is missing, what is unlikely.
+    ///
+    /// The exit code is 0 if the file can be used, with or without warnings, and 2 if not.
+    Check(Check),
+    /// Write a configuration file for a machine of your own.
+    ///
+    /// Asks on a terminal for everything that no option tells, and takes the bundled machine's value for an empty answer.
+    /// Not on a terminal, --kind is needed, and what no option tells is the bundled machine's.
+    New(New),
+}
+
+#[derive(clap::Args, Debug)]
+struct Check {
+    /// The file. Default: --config, else ETHERPEN_CONFIG, else etherpen.toml in this folder.
+    file: Option<PathBuf>,
+    /// Print the findings as JSON on stdout.
+    #[arg(long)]
+    json: bool,
+    #[command(flatten)]
+    config: ConfigArguments,
+}
+
+#[derive(clap::Args, Debug)]
+struct New {
+    /// The file to write.
+    #[arg(default_value = "etherpen.toml")]
+    file: PathBuf,
+    /// Kind of machine.
+    #[arg(long, value_name = "KIND", value_parser = kind)]
+    kind: Option<Kind>,
+    /// Travel of a gantry or CoreXY along x, mm.
+    #[arg(long, value_name = "MM")]
+    width: Option<f64>,
+    /// Travel of a gantry or CoreXY along y, mm.
+    #[arg(long, value_name = "MM")]
+    depth: Option<f64>,
+    /// Travel of a gantry or SCARA along z, mm.
+    #[arg(long, value_name = "MM")]
+    height: Option<f64>,
+    /// Length of a SCARA's inner link, mm.
+    #[arg(long, value_name = "MM")]
+    inner_link: Option<f64>,
+    /// Length of a SCARA's outer link, mm.
+    #[arg(long, value_name = "MM")]
+    outer_link: Option<f64>,
+    /// Linear delta: from the axis to a rod's upper joint, less that of the lower joint, mm.
+    #[arg(long, value_name = "MM")]
+    radius: Option<f64>,
+    /// Length of a linear delta's rods, mm.
+    #[arg(long, value_name = "MM")]
+    rod: Option<f64>,
+    /// Travel of linear axes for one turn of the pulley or screw, mm.
+    #[arg(long, value_name = "MM")]
+    pitch: Option<f64>,
+    /// Motor turns for one turn of the joint, pulley or screw; negative: the other way.
+    #[arg(long, value_name = "TURNS", allow_negative_numbers = true)]
+    gear: Option<f64>,
+    /// Number of drives (etherpen bus scan lists them).
+    #[arg(long, value_name = "NUMBER")]
+    drives: Option<usize>,
+    /// Overwrite the file.
+    #[arg(long)]
+    force: bool,
+}
+
+fn kind(name: &str) -> Result<Kind, String> {
+    let names = Kind::ALL.map(Kind::name).join(", ");
+    Kind::named(name).ok_or_else(|| format!("it is one of {names}"))
+}
+
+/// The answer of `etherpen config check`.
+#[derive(Debug, Serialize)]
+struct Checked<'a> {
+    file: String,
+    /// Whether the file can be used.
+    valid: bool,
+    findings: &'a [Finding],
 }
 
 #[derive(clap::Args, Debug)]
@@ -50,7 +133,11 @@ struct ConfigEntry {
 /// # Errors
 /// The configuration cannot be used.
 pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
-    let Command::Show(show) = &arguments.command;
+    let show = match &arguments.command {
+        Command::Show(show) => show,
+        Command::Check(check) => return check_file(check),
+        Command::New(new) => return new_file(new),
+    };
     let entries = entries(show)?;
     if show.json {
         return match show.origin {
@@ -74,6 +161,140 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     Ok(())
 }
 
+fn check_file(arguments: &Check) -> Result<(), ProgramError> {
+    let file = arguments.file.clone().or_else(|| arguments.config.path());
+    let Some(file) = file else {
+        let message = "there is no etherpen.toml in this folder; name a file, or write one: etherpen config new";
+        return Err(ProgramError::new(code::USAGE, message));
+    };
+    let shown = file.display().to_string();
+    let text = crate::settings::read(&file)
+        .map_err(|cause| ProgramError::new(code::USAGE, format!("{shown} cannot be read: {cause}")))?;
+    let findings = checking::check(&text);
+    let errors = findings
+        .iter()
+        .filter(|finding| finding.gravity == Gravity::Error)
+        .count();
+    if arguments.json {
+        print_json(&Checked {
+            file: shown.clone(),
+            valid: errors == 0,
+            findings: &findings,
+        })?;
+    } else {
+        let mut out = std::io::stdout().lock();
+        for finding in &findings {
+            let gravity = if finding.gravity == Gravity::Error {
+                "error"
+            } else {
+                "warning"
+            };
+            writeln!(out, "{gravity}: {shown}: {finding}").map_err(|cause| ProgramError::failed("stdout", cause))?;
+        }
+    }
+    if errors > 0 {
+        let message = format!("{shown} cannot be used: {}", counted(errors, "error"));
+        return Err(ProgramError::new(code::USAGE, message));
+    }
+    eprintln!("{shown} can be used; {}.", counted(findings.len(), "warning"));
+    Ok(())
+}
+
+fn new_file(arguments: &New) -> Result<(), ProgramError> {
+    let usage = |message: String| ProgramError::new(code::USAGE, message);
+    let shown = arguments.file.display();
+    if arguments.file.exists() && !arguments.force {
+        return Err(usage(format!(
+            "{shown} exists; name another file, or overwrite it with --force"
+        )));
+    }
+    let asks = std::io::stdin().is_terminal();
+    let kind = match arguments.kind {
+        Some(kind) => kind,
+        None if asks => ask_kind()?,
+        None => {
+            let names = Kind::ALL.map(Kind::name).join(", ");
+            return Err(usage(format!("which kind of machine? --kind is one of {names}")));
+        }
+    };
+    let mut wishes = Wishes {
+        sizes_mm: [
+            arguments.width,
+            arguments.depth,
+            arguments.height,
+            arguments.inner_link,
+            arguments.outer_link,
+            arguments.radius,
+            arguments.rod,
+        ],
+        pitch_mm: arguments.pitch,
+        gear: arguments.gear,
+        drives: arguments.drives,
+    };
+    if asks {
+        ask(kind, &mut wishes)?;
+    }
+    let text = starting::compose(kind, &wishes).map_err(usage)?;
+    crate::output_file::write(&arguments.file, text.as_bytes())
+        .map_err(|cause| ProgramError::failed(format!("{shown} cannot be written"), cause))?;
+    eprintln!(
+        "Written: {shown}. Compare every line with your machine, then: etherpen config check {shown}; etherpen simulate FILE \
+         --config {shown}"
+    );
+    Ok(())
+}
+
+/// Asks a question on the terminal; `None` for an empty answer, or if there are no more answers.
+fn answer(question: &str) -> Result<Option<String>, ProgramError> {
+    let failed = |cause| ProgramError::failed("the terminal", cause);
+    eprint!("{question}: ");
+    std::io::stderr().flush().map_err(failed)?;
+    let mut line = String::new();
+    std::io::stdin().read_line(&mut line).map_err(failed)?;
+    Ok(Some(line.trim().to_owned()).filter(|line| !line.is_empty()))
+}
+
+fn ask_kind() -> Result<Kind, ProgramError> {
+    let names = Kind::ALL.map(Kind::name).join(", ");
+    let Some(name) = answer(&format!("kind of machine ({names})"))? else {
+        return Err(ProgramError::new(code::USAGE, "no kind of machine was named"));
+    };
+    kind(&name).map_err(|cause| ProgramError::new(code::USAGE, format!("{name}: {cause}")))
+}
+
+/// Asks for what no option tells.
+fn ask(kind: Kind, wishes: &mut Wishes) -> Result<(), ProgramError> {
+    let usual = starting::usual(kind);
+    let figure = |what: &str, usual: Option<f64>| -> Result<Option<f64>, ProgramError> {
+        let Some(usual) = usual else { return Ok(None) };
+        let Some(text) = answer(&format!("{what} [{usual}]"))? else {
+            return Ok(None);
+        };
+        let number = text.parse().map(Some);
+        number.map_err(|_| ProgramError::new(code::USAGE, format!("{what}: {text} is not a number")))
+    };
+    let sizes = SIZES.iter().zip(usual.sizes_mm);
+    for ((size, usual), wish) in sizes.zip(&mut wishes.sizes_mm) {
+        if wish.is_none() && size.suits(kind) {
+            *wish = figure(size.what, usual)?;
+        }
+    }
+    if wishes.pitch_mm.is_none() {
+        wishes.pitch_mm = figure(
+            "travel of linear axes for one turn of the pulley or screw, mm",
+            usual.pitch_mm,
+        )?;
+    }
+    if wishes.gear.is_none() {
+        wishes.gear = figure("motor turns for one turn of the joint, pulley or screw", usual.gear)?;
+    }
+    if wishes.drives.is_none() {
+        let drives = usual.drives.map(|drives| drives as f64);
+        wishes.drives = figure("number of drives", drives)?.map(|drives| drives as usize);
+    }
+    Ok(())
+}
+
 fn entries(show: &Show) -> Result<BTreeMap<String, ConfigEntry>, ProgramError> {
     let config = show.config.load()?;
     let failed = |cause: &dyn std::fmt::Display| ProgramError::new(code::USAGE, format!("the configuration: {cause}"));
@@ -81,16 +302,23 @@ fn entries(show: &Show) -> Result<BTreeMap<String, ConfigEntry>, ProgramError> {
     let built_in = "built-in";
     let values = serde_json::to_value(&config).map_err(|cause| failed(&cause))?;
     flatten(&values, "", &mut |key, value| {
-        let (value, origin) = (value.clone(), built_in.to_owned());
-        entries.insert(key, ConfigEntry { value, origin });
+        let origin = built_in.to_owned();
+        if let Some((key, value)) = in_units(&config, key, value) {
+            entries.insert(key, ConfigEntry { value, origin });
+        }
     });
     if let Some((path, how)) = show.config.file() {
         let text = std::fs::read_to_string(&path).map_err(|cause| failed(&cause))?;
         let written: serde_json::Value = toml::from_str(&text).map_err(|cause| failed(&cause))?;
         let origin = format!("{} ({how})", path.display());
         flatten(&written, "", &mut |key, _| {
-            if let Some(entry) = entries.get_mut(&key) {
-                entry.origin.clone_from(&origin);
+            let shared = key.strip_prefix("axis_defaults.");
+            let of_axes = shared.map_or(0, |_| usize::from(config.bus.drives));
+            let keys = (0..of_axes).map(|axis| format!("axes[{axis}].{}", shared.unwrap_or_default()));
+            for key in keys.chain([key.clone()]) {
+                if let Some(entry) = entries.get_mut(&key) {
+                    entry.origin.clone_from(&origin);
+                }
             }
         });
     }
@@ -102,6 +330,36 @@ fn entries(show: &Show) -> Result<BTreeMap<String, ConfigEntry>, ProgramError> {
     let origin = origin.to_owned();
     entries.insert("port".into(), ConfigEntry { value, origin });
     Ok(entries)
+}
+
+/// A value as a configuration file names and writes it; `None` for one of an axis that the machine lacks.
+fn in_units(config: &Config, key: String, value: &serde_json::Value) -> Option<(String, serde_json::Value)> {
+    let kind = config.geometry.kind();
+    let list = |name: &str| key.strip_prefix(name)?.strip_prefix('[')?.split_once(']');
+    let exists = |axis: &str| axis.parse().ok().filter(|axis| *axis < usize::from(config.bus.drives));
+    let scaled = |factor: f64| value.as_f64().map_or(value.clone(), |number| (number * factor).into());
+    if let Some((axis, name)) = list("axes") {
+        let axis = exists(axis)?;
+        return Some(match axes::as_written(kind, axis, name.trim_start_matches('.')) {
+            Some((name, factor)) => (format!("axes[{axis}].{name}"), scaled(factor)),
+            None => (key, value.clone()),
+        });
+    }
+    for (name, written) in [
+        ("motion.joint_speed_rad_s", "motion.joint_speed"),
+        ("motion.joint_acceleration_rad_s2", "motion.joint_acceleration"),
+    ] {
+        if let Some((axis, _)) = list(name) {
+            let axis = exists(axis)?;
+            let is_mixed = axes::motions(kind).contains(&Motion::Linear);
+            let factor = axes::motion(kind, axis).factor();
+            return Some(match is_mixed {
+                true => (format!("{written}[{axis}]"), scaled(factor)),
+                false => (key, value.clone()),
+            });
+        }
+    }
+    Some((key, value.clone()))
 }
 
 /// Visits every value that is not a table; list indices count from 0, in brackets.
@@ -166,5 +424,23 @@ mod tests {
         assert_eq!(entries["motion.travel_speed_mm_s"].origin, "built-in");
         assert_eq!(entries["axes[3].gear"].origin, "built-in");
         assert_eq!(entries["port"].origin, "flag --port");
+    }
+
+    #[test]
+    fn a_machine_with_linear_axes_is_shown_as_its_file_writes_it() {
+        let gantry = crate::settings::machines::MACHINES[1];
+        let path = std::env::temp_dir().join(format!("etherpen-linear-{}.toml", std::process::id()));
+        std::fs::write(&path, gantry.text).unwrap();
+        let entries = show(Some(path.clone()));
+        std::fs::remove_file(&path).unwrap();
+        let speed = &entries["axes[2].output_max_mm_s"];
+        assert_eq!(speed.value, serde_json::json!(1300.0));
+        assert!(
+            speed.origin.contains("flag --config"),
+            "shared by the axes: {}",
+            speed.origin
+        );
+        assert_eq!(entries["motion.joint_speed[2]"].value, serde_json::json!(300.0));
+        assert!(entries.keys().all(|key| !key.starts_with("axes[3]")), "three drives");
     }
 }

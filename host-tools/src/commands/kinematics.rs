@@ -1,8 +1,11 @@
 //! `etherpen kinematics`: positions to joint angles and back, for the robot or for another geometry.
 
 use super::print_json;
+use crate::axes::{Motion, Quantity};
 use crate::error::{ProgramError, code};
 use crate::kinematics::Robot;
+use crate::settings::load;
+use crate::settings::machines::MachineChoice;
 use etherpen::robots::{Geometry, Measured};
 use std::io::Write;
 use std::path::PathBuf;
@@ -26,7 +29,7 @@ enum Direction {
     },
     /// Position of the platform for joint angles.
     Forward {
-        /// Joint angles, rad; positive moves the platform down.
+        /// Joint angles, rad; positive moves the platform down. Linear axes: mm.
         #[arg(long, value_name = "Q1,Q2,Q3", allow_hyphen_values = true, value_parser = three_numbers)]
         joints: Three,
         #[command(flatten)]
@@ -39,6 +42,9 @@ enum Direction {
 struct Options {
     #[arg(long, value_name = "FILE", help = geometry_help())]
     geometry: Option<PathBuf>,
+    /// A bundled machine by its name, or the machine of a configuration file; its ranges are not checked.
+    #[arg(long, value_name = "NAME|FILE", conflicts_with = "geometry")]
+    machine: Option<MachineChoice>,
     /// Print the answer as JSON on stdout.
     #[arg(long)]
     json: bool,
@@ -72,19 +78,20 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let robot = robot(options)?;
     let answer = match &arguments.direction {
         Direction::Inverse { position, .. } => robot.inverse(position.0)?,
-        Direction::Forward { joints, .. } => robot.forward(joints.0)?,
+        Direction::Forward { joints, .. } => robot.forward_in_units(joints.0)?,
     };
     if options.json {
         return print_json(&answer);
     }
     let [x, y, z] = answer.position_mm;
     let mut shown = format!("position  {x} {y} {z} mm\n");
-    for (number, angle) in (1..).zip(answer.joints_rad) {
-        let joint = robot.joint();
-        shown.push_str(&format!(
-            "{joint} {number}     {angle} rad ({:.4} deg)\n",
-            angle.to_degrees()
-        ));
+    for (axis, value) in answer.joints.iter() {
+        let degrees = match axis.motion {
+            Motion::Rotary => format!(" ({:.4} deg)", value.to_degrees()),
+            Motion::Linear => String::new(),
+        };
+        let unit = axis.motion.unit(Quantity::Position);
+        shown.push_str(&format!("{:<9} {value} {unit}{degrees}\n", axis.name));
     }
     std::io::stdout()
         .write_all(shown.as_bytes())
@@ -92,6 +99,13 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
 }
 
 fn robot(options: &Options) -> Result<Robot, ProgramError> {
+    if let Some(machine) = &options.machine {
+        let config = match machine {
+            MachineChoice::Bundled(machine) => machine.load()?,
+            MachineChoice::File(path) => load(Some(path))?,
+        };
+        return Robot::new(config.geometry).map_err(|cause| ProgramError::new(code::USAGE, cause));
+    }
     match &options.geometry {
         None => Robot::new(Geometry::default()),
         Some(path) => std::fs::read_to_string(path)

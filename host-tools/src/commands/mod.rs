@@ -35,6 +35,7 @@ pub mod simulate;
 pub mod vectorize;
 pub mod verify;
 
+use crate::axes;
 use crate::cell::{CellChoice, Physics};
 use crate::drawing::preparation::source::SourceArguments;
 use crate::error::{ProgramError, code};
@@ -145,10 +146,12 @@ impl ConfigArguments {
     /// # Errors
     /// The file and the place in it that cannot be used.
     pub fn load(&self) -> Result<Config, ProgramError> {
-        match &self.machine {
+        let config = match &self.machine {
             Some(MachineChoice::Bundled(machine)) => machine.load(),
             _ => load(self.path().as_deref()),
-        }
+        }?;
+        axes::set_machine(config.geometry.kind());
+        Ok(config)
     }
 }
 

@@ -1,6 +1,7 @@
 //! `etherpen plan`: runs a path through the firmware's planner and shows duration, peaks, violations and references.
 
 use super::{ConfigArguments, print_json};
+use crate::axes::{AxisView, Motion, Quantity, axes};
 use crate::drawing::preparation::compose::unusable;
 use crate::drawing::preparation::listed::read_path;
 use crate::drawing::preparation::source::SourceArguments;
@@ -12,6 +13,7 @@ use crate::terminal::counted;
 use etherpen::config::{Config, Orientation};
 use etherpen::robots::AXES;
 use serde::Serialize;
+use serde_json::Value;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
@@ -149,7 +151,11 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let mut config = arguments.config.load()?;
     arguments.limits.apply(&mut config);
     let (path, vertices_merged) = read_path(&arguments.file, &config, &arguments.source)?;
-    let mut table = arguments.samples.as_deref().map(begin).transpose()?;
+    let mut table = arguments
+        .samples
+        .as_deref()
+        .map(|file| begin(&config, file))
+        .transpose()?;
     let mut failed = None;
     let observe = |sample: &_| {
         if let Some(Err(cause)) = table.as_mut().map(|table| table.step(sample)) {
@@ -176,22 +182,81 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         certificate,
     };
     if arguments.json {
-        return print_json(&answer);
+        let value = serde_json::to_value(&answer).map_err(|cause| ProgramError::failed("the findings", cause))?;
+        return print_json(&in_units(value, &axes(&config)));
     }
     io::stdout()
-        .write_all(shown(&answer).as_bytes())
+        .write_all(shown(&answer, &axes(&config)).as_bytes())
         .map_err(|cause| ProgramError::failed("stdout", cause))
 }
 
 /// Starts the table of references.
-fn begin(file: &Path) -> Result<Table<OutputFile>, ProgramError> {
+fn begin(config: &Config, file: &Path) -> Result<Table<OutputFile>, ProgramError> {
     OutputFile::create(file)
-        .and_then(Table::new)
+        .and_then(|out| Table::new(config, out))
         .map_err(|cause| unwritable(file, &cause))
 }
 
+/// Quantities of the joints in the findings, by their names without a unit.
+const OF_JOINTS: [(&str, Quantity); 3] = [
+    ("joint_speed", Quantity::Speed),
+    ("joint_acceleration", Quantity::Acceleration),
+    ("joint_jerk", Quantity::Jerk),
+];
+
+/// The findings with the values of the joints in the units of the machine's axes, and without axes that it lacks. Where
+/// the units are mixed, a list becomes an object with the axes' names.
+fn in_units(mut answer: Value, axes: &[AxisView]) -> Value {
+    for table in ["peaks", "limits"] {
+        let Some(values) = answer.get_mut(table).and_then(Value::as_object_mut) else {
+            continue;
+        };
+        for (name, quantity) in OF_JOINTS {
+            let rotary = format!("{name}_{}", Motion::Rotary.suffix(quantity));
+            let Some(Value::Array(list)) = values.get(&rotary) else {
+                continue;
+            };
+            let value = |axis: &AxisView| {
+                let value = list.get(axis.index).and_then(Value::as_f64);
+                value.map_or(Value::Null, |value| (value * axis.motion.factor()).into())
+            };
+            let first = axes.first().map_or(Motion::Rotary, |axis| axis.motion);
+            let (key, converted) = if axes.iter().all(|axis| axis.motion == first) {
+                let key = format!("{name}_{}", first.suffix(quantity));
+                (key, axes.iter().map(value).collect())
+            } else {
+                let named = |axis: &AxisView| (format!("{}_{}", axis.name, axis.motion.suffix(quantity)), value(axis));
+                (name.to_owned(), Value::Object(axes.iter().map(named).collect()))
+            };
+            values.remove(&rotary);
+            values.insert(key, converted);
+        }
+    }
+    let violations = answer.get_mut("violations").and_then(Value::as_array_mut);
+    for violation in violations.into_iter().flatten() {
+        let number = violation.get("axis").and_then(Value::as_u64);
+        let axis = axes.iter().find(|axis| Some(axis.index as u64 + 1) == number);
+        if let Some(axis) = axis.filter(|axis| axis.motion == Motion::Linear) {
+            violation_in_millimetres(violation, axis);
+        }
+    }
+    answer
+}
+
+fn violation_in_millimetres(violation: &mut Value, axis: &AxisView) {
+    let limited = violation.get("limit_of").and_then(Value::as_str).unwrap_or_default();
+    let name = limited.replace("_rad", "_mm");
+    let scaled = |value: Option<&Value>| value.and_then(Value::as_f64).map(|value| value * axis.motion.factor());
+    let [value, limit] = ["value", "limit"].map(|key| scaled(violation.get(key)));
+    if let Some(violation) = violation.as_object_mut() {
+        violation.insert("limit_of".into(), name.into());
+        violation.insert("value".into(), value.into());
+        violation.insert("limit".into(), limit.into());
+    }
+}
+
 /// The findings as text.
-fn shown(answer: &Answer) -> String {
+fn shown(answer: &Answer, axes: &[AxisView]) -> String {
     let findings = &answer.findings;
     let (peaks, limits) = (&findings.peaks, &findings.limits);
     let mut text = format!(
@@ -202,19 +267,23 @@ fn shown(answer: &Answer) -> String {
         let limit = limit.map_or("-".into(), figure);
         text.push_str(&format!("{name:<22} {:>12} {limit:>12} {unit}\n", figure(peak)));
     };
-    for axis in 0..AXES {
-        let jerk = limits.joint_jerk_rad_s3.map(|jerk| jerk[axis]);
-        let number = axis + 1;
-        let (speed, acceleration) = (peaks.joint_speed_rad_s[axis], peaks.joint_acceleration_rad_s2[axis]);
-        line(
-            &format!("axis {number}: speed"),
-            "rad/s",
-            speed,
-            Some(limits.joint_speed_rad_s[axis]),
+    for axis in axes {
+        let number = axis.index + 1;
+        let unit = |quantity| axis.motion.unit(quantity);
+        let name = match axis.motion {
+            Motion::Rotary => format!("axis {number}: speed"),
+            Motion::Linear => format!("axis {}: speed", axis.name),
+        };
+        let of = |values: &[f64; AXES]| axis.of(values);
+        let limit = Some(of(&limits.joint_speed_rad_s));
+        line(&name, unit(Quantity::Speed), of(&peaks.joint_speed_rad_s), limit);
+        let (peak, limit) = (
+            of(&peaks.joint_acceleration_rad_s2),
+            of(&limits.joint_acceleration_rad_s2),
         );
-        let limit = Some(limits.joint_acceleration_rad_s2[axis]);
-        line("        acceleration", "rad/s2", acceleration, limit);
-        line("        jerk", "rad/s3", peaks.joint_jerk_rad_s3[axis], jerk);
+        line("        acceleration", unit(Quantity::Acceleration), peak, Some(limit));
+        let jerk = limits.joint_jerk_rad_s3.as_ref().map(of);
+        line("        jerk", unit(Quantity::Jerk), of(&peaks.joint_jerk_rad_s3), jerk);
     }
     line("drawing speed", "mm/s", peaks.speed_mm_s, Some(limits.speed_mm_s));
     line(
@@ -308,4 +377,35 @@ fn figure(value: f64) -> String {
         (3.0 - value.abs().log10().floor()).clamp(0.0, 6.0) as usize
     };
     format!("{value:.places$}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn findings_are_told_in_the_units_of_the_axes() {
+        let answer = serde_json::json!({
+            "peaks": {"joint_speed_rad_s": [1.0, 2.0, 3.0, 4.0], "speed_mm_s": 5.0},
+            "violations": [{"limit_of": "joint_speed_rad_s", "axis": 3, "value": 3.0, "limit": 2.0}],
+        });
+        let told = |machine: usize| {
+            let config = crate::settings::machines::MACHINES[machine].load().unwrap();
+            in_units(answer.clone(), &axes(&config))
+        };
+        assert_eq!(told(0), answer);
+        let gantry = told(1);
+        assert_eq!(
+            gantry["peaks"]["joint_speed_mm_s"],
+            serde_json::json!([100.0, 200.0, 300.0])
+        );
+        let violation = &gantry["violations"][0];
+        assert_eq!(
+            (&violation["limit_of"], &violation["limit"]),
+            (&"joint_speed_mm_s".into(), &200.0.into())
+        );
+        let scara = told(3);
+        assert_eq!(scara["peaks"]["joint_speed"]["height_mm_s"], 300.0);
+        assert_eq!(scara["peaks"]["joint_speed"]["turn_rad_s"], 4.0);
+    }
 }

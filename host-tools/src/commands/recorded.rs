@@ -10,6 +10,7 @@ use crate::recording::plot::{Form, plot as draw};
 use crate::recording::signals::{Signal, named};
 use crate::recording::statistics::{Statistics, statistics};
 use crate::terminal::counted;
+use etherpen::config::Config;
 use std::fmt::Write as _;
 use std::fs::File;
 use std::io::{self, BufReader, Write};
@@ -63,8 +64,8 @@ fn unreadable(path: &Path, cause: &io::Error) -> ProgramError {
     ProgramError::new(code::INPUT, format!("{} cannot be read: {cause}", path.display()))
 }
 
-fn signals(list: &str) -> Result<Vec<Signal>, ProgramError> {
-    named(list).map_err(|cause| ProgramError::new(code::USAGE, cause))
+fn signals(list: &str, config: &Config) -> Result<Vec<Signal>, ProgramError> {
+    named(list, config).map_err(|cause| ProgramError::new(code::USAGE, cause))
 }
 
 /// Options of `etherpen export`.
@@ -78,8 +79,8 @@ pub struct ExportArguments {
     /// Write a table as Apache Parquet; a missing value is NaN.
     #[arg(long, value_name = "OUT", conflicts_with = "csv")]
     parquet: Option<PathBuf>,
-    /// Only the time and these signals, separated by commas; * matches any characters. q1_error_rad and so on are the
-    /// following errors.
+    /// Only the time and these signals, separated by commas; * matches any characters. q1_error_rad and so on (q1_error_mm of
+    /// a linear axis) are the following errors.
     #[arg(long, value_name = "LIST")]
     signals: Option<String>,
     /// Print the number of rows as JSON on stdout, or on stderr if the table goes to stdout.
@@ -92,10 +93,11 @@ pub struct ExportArguments {
 /// # Errors
 /// The recording cannot be read, the signals do not exist, or the table cannot be written.
 pub fn export(arguments: &ExportArguments) -> Result<(), ProgramError> {
-    let chosen = arguments.signals.as_deref().map(signals).transpose()?;
-    let columns = table_columns(chosen);
     let part = &arguments.part;
     let mut playback = part.open()?;
+    let config = playback.config().unwrap_or_default();
+    let chosen = arguments.signals.as_deref().map(|list| signals(list, &config));
+    let columns = table_columns(&config, chosen.transpose()?);
     let path = arguments.csv.as_ref().or(arguments.parquet.as_ref());
     let path = path.map_or(Path::new("-"), PathBuf::as_path);
     refuse_input(path, std::slice::from_ref(&part.file))?;
@@ -144,7 +146,6 @@ pub struct PlotArguments {
 /// # Errors
 /// The recording cannot be read or has no sample, the signals do not exist, or the picture cannot be written.
 pub fn plot(arguments: &PlotArguments) -> Result<(), ProgramError> {
-    let signals = signals(&arguments.signals)?;
     let (part, path) = (&arguments.part, &arguments.output);
     let form = match path.extension().and_then(|extension| extension.to_str()) {
         Some("svg") => Form::Svg,
@@ -156,6 +157,7 @@ pub fn plot(arguments: &PlotArguments) -> Result<(), ProgramError> {
     };
     refuse_input(path, std::slice::from_ref(&part.file))?;
     let mut playback = part.open()?;
+    let signals = signals(&arguments.signals, &playback.config().unwrap_or_default())?;
     let picture = draw(&mut playback, &signals, form).map_err(|cause| unreadable(&part.file, &cause))?;
     part.tell(&playback);
     let Some(picture) = picture else {
@@ -218,13 +220,10 @@ fn text(figures: &Statistics) -> String {
         let [min, max, mean, rms] = [of.min, of.max, of.mean, of.rms].map(|value| format!("{value:.6}"));
         let _ = writeln!(text, "{:<16} {min:>13} {max:>13} {mean:>13} {rms:>13}", of.name);
     }
-    let errors = figures
-        .following_error_max_rad
-        .map(|error| format!("{:.1}", error * 1e6));
     let _ = writeln!(
         text,
-        "\nlargest following error in motion, microradians: {}",
-        errors.join(", ")
+        "\nlargest following error in motion: {}",
+        figures.following_error_max.error_text()
     );
     text
 }

@@ -35,7 +35,6 @@ pub(super) const ASSETS: &[Asset] = &[
     asset!("/operate.js", "operate.js", "text/javascript; charset=utf-8"),
     asset!("/paper.js", "paper.js", "text/javascript; charset=utf-8"),
     asset!("/robot.js", "robot.js", "text/javascript; charset=utf-8"),
-    asset!("/robot_delta.js", "robot_delta.js", "text/javascript; charset=utf-8"),
     asset!("/plot.js", "plot.js", "text/javascript; charset=utf-8"),
     asset!("/scope.js", "scope.js", "text/javascript; charset=utf-8"),
     asset!("/jobs.js", "jobs.js", "text/javascript; charset=utf-8"),

@@ -11,6 +11,7 @@ use super::jobs::Jobs;
 use super::messages::section;
 use super::page_text::for_page;
 use super::signals::{Rows, SignalRow};
+use super::skeleton::Part;
 use super::status::{self, mode_name};
 use crate::link::text;
 use etherpen::application::Mode;
@@ -139,10 +140,12 @@ struct PoseView {
     mode: &'static str,
     pen_down: bool,
     stroke: u32,
-    joints_rad: [f32; 4],
     commanded_mm: [f32; 3],
     measured_mm: [f32; 3],
-    errors_rad: [f32; 4],
+    /// Following error of each axis, micro-radians or micrometres.
+    errors: Vec<f32>,
+    /// Moving parts of the machine where its joints are measured; none while the position is not known.
+    parts: Vec<Part>,
 }
 
 /// Last position of a referenced robot.
@@ -322,10 +325,10 @@ impl Hub {
                 mode: mode_name(row.mode),
                 pen_down: row.pen == Pen::Down,
                 stroke: row.stroke,
-                joints_rad: row.joints_rad(),
                 commanded_mm: row.commanded_mm(),
                 measured_mm: row.measured_mm(),
-                errors_rad: row.errors_rad(),
+                errors: self.rows.errors(row),
+                parts: self.rows.parts(row),
             },
         ))
     }
@@ -406,7 +409,7 @@ impl Hub {
             self.jobs.follow(&row);
             if self.status.as_ref().is_some_and(|status| status.referenced) {
                 self.known = Some(Known {
-                    joints_rad: row.joints_rad(),
+                    joints_rad: sample.measured_rad,
                     platform_mm: row.measured_mm(),
                 });
             }

@@ -25,10 +25,12 @@ mod page_text;
 pub mod preparation;
 pub mod server;
 pub mod signals;
+pub mod skeleton;
 pub mod status;
 mod viewer;
 pub mod virtual_cell;
 
+use crate::axes::axes;
 use crate::link::port::{PortError, PortName};
 use crate::machine::{Machine, MachineOptions, Order, Ticket};
 use etherpen::config::Config;
@@ -50,12 +52,26 @@ use virtual_cell::VirtualCell;
 struct RobotView<'a> {
     version: &'static str,
     port: String,
-    geometry: &'a etherpen::config::Geometry,
+    /// Kind of machine, as configuration files name it.
+    kind: &'static str,
+    /// Parts that stand still.
+    parts: Vec<skeleton::Part>,
+    /// Lowest and highest x, y and z of the drawing of the machine, mm.
+    bounds_mm: [[f64; 2]; 3],
+    axes: Vec<AxisLabel>,
     paper: &'a etherpen::config::Paper,
     work_area: &'a etherpen::config::WorkVolume,
     signals: Vec<signals::PlotSignal>,
     /// Styles available for photographs.
     styles: Vec<String>,
+}
+
+/// An axis as shown on the page.
+#[derive(Clone, Debug, Serialize)]
+struct AxisLabel {
+    name: String,
+    /// Unit of its following error.
+    error_unit: &'static str,
 }
 
 /// The virtual segment as shown on the page.
@@ -150,10 +166,19 @@ impl Console {
         let view = RobotView {
             version: env!("CARGO_PKG_VERSION"),
             port: shown,
-            geometry: &config.geometry,
+            kind: config.geometry.kind().name(),
+            parts: skeleton::fixed(&config.geometry),
+            bounds_mm: skeleton::bounds_mm(&config),
+            axes: axes(&config)
+                .into_iter()
+                .map(|axis| AxisLabel {
+                    name: axis.label,
+                    error_unit: axis.motion.error_unit().0,
+                })
+                .collect(),
             paper: &config.paper,
             work_area: &config.work_area,
-            signals: signals::catalogue(),
+            signals: signals::catalogue(&config),
             styles: preparation::styles(),
         };
         hub.say(Topic::Robot, &view);

@@ -4,17 +4,19 @@
 //! the firmware. Invariant: a row has a value for every signal of the catalogue; a value that cannot be computed is a
 //! NaN.
 
+use super::skeleton::{Part, moving};
+use crate::axes::{AxisView, Quantity, axes};
 use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::messages::Sample;
 use etherpen::motion::Pen;
-use etherpen::robots::{AXES, JointAngles, Kinematics, Position};
+use etherpen::robots::{AXES, Geometry, JointAngles, Kinematics, Position};
 
 /// Signals of one axis.
 const PER_AXIS: usize = 5;
 /// Signals of the platform.
 const OF_PLATFORM: usize = 8;
-/// All signals.
+/// Most signals of a machine.
 pub const SIGNALS: usize = AXES * PER_AXIS + OF_PLATFORM;
 /// Largest gap of the telemetry across which a speed is computed from differences, ms.
 const GAP_MS: u32 = 1;
@@ -36,21 +38,24 @@ pub struct PlotSignal {
     pub axis: usize,
 }
 
-/// All signals, in the order of the values of a [`SignalRow`].
-pub fn catalogue() -> Vec<PlotSignal> {
-    let of_axis = |axis: usize| {
+/// All signals of a machine, in the order of the values of a [`SignalRow`].
+pub fn catalogue(config: &Config) -> Vec<PlotSignal> {
+    let of_axis = |axis: AxisView| {
+        let (number, motion) = (axis.index + 1, axis.motion);
+        let [q_ref, q, v_ref, v] = axis.columns();
+        let error = format!("e{number}_{}", motion.suffix(Quantity::Position));
         [
-            (format!("q{axis}_ref_rad"), "setpoint", "rad"),
-            (format!("q{axis}_rad"), "actual", "rad"),
-            (format!("e{axis}_rad"), "following error", "rad"),
-            (format!("v{axis}_ref_rad_s"), "velocity setpoint", "rad/s"),
-            (format!("v{axis}_rad_s"), "velocity", "rad/s"),
+            (q_ref, "setpoint", Quantity::Position),
+            (q, "actual", Quantity::Position),
+            (error, "following error", Quantity::Position),
+            (v_ref, "velocity setpoint", Quantity::Speed),
+            (v, "velocity", Quantity::Speed),
         ]
-        .map(|(name, text, unit)| PlotSignal {
+        .map(|(name, text, quantity)| PlotSignal {
             name,
-            label: format!("axis {axis} {text}"),
-            unit,
-            axis,
+            label: format!("{} {text}", axis.label),
+            unit: motion.unit(quantity),
+            axis: number,
         })
     };
     let of_platform = [
@@ -69,7 +74,7 @@ pub fn catalogue() -> Vec<PlotSignal> {
         unit,
         axis: 0,
     });
-    (1..=AXES).flat_map(of_axis).chain(of_platform).collect()
+    axes(config).into_iter().flat_map(of_axis).chain(of_platform).collect()
 }
 
 /// One millisecond of all signals.
@@ -85,29 +90,21 @@ pub struct SignalRow {
     pub pen: Pen,
     /// Stroke being drawn or approached.
     pub stroke: u32,
-    /// Values of the catalogue.
+    /// Number of axes.
+    pub axes: u8,
+    /// Values of the catalogue, NaN behind its last.
     pub values: [f32; SIGNALS],
 }
 
 impl SignalRow {
-    /// Measured joint angles, rad.
-    pub fn joints_rad(&self) -> [f32; AXES] {
-        std::array::from_fn(|axis| self.value(axis * PER_AXIS + 1))
-    }
-
-    /// Following errors, rad.
-    pub fn errors_rad(&self) -> [f32; AXES] {
-        std::array::from_fn(|axis| self.value(axis * PER_AXIS + 2))
-    }
-
     /// Commanded position of the platform, mm.
     pub fn commanded_mm(&self) -> [f32; 3] {
-        std::array::from_fn(|axis| self.value(AXES * PER_AXIS + axis))
+        std::array::from_fn(|axis| self.value(usize::from(self.axes) * PER_AXIS + axis))
     }
 
     /// Measured position of the platform, mm.
     pub fn measured_mm(&self) -> [f32; 3] {
-        std::array::from_fn(|axis| self.value(AXES * PER_AXIS + 3 + axis))
+        std::array::from_fn(|axis| self.value(usize::from(self.axes) * PER_AXIS + 3 + axis))
     }
 
     /// A value by its number in the catalogue.
@@ -119,6 +116,8 @@ impl SignalRow {
 /// Converts samples into rows.
 pub struct Rows {
     kinematics: Option<Kinematics>,
+    geometry: Geometry,
+    axes: Vec<AxisView>,
     /// Offset of the console's time to the firmware's time.
     offset_ms: u64,
     last: Option<Last>,
@@ -157,6 +156,8 @@ impl Rows {
     pub fn new(config: &Config) -> Self {
         Self {
             kinematics: Kinematics::new(&config.geometry).ok(),
+            geometry: config.geometry,
+            axes: axes(config),
             offset_ms: 0,
             last: None,
         }
@@ -182,8 +183,8 @@ impl Rows {
             measured_mm: measured,
         });
         let mut values = [f32::NAN; SIGNALS];
-        let axes = (0..AXES).flat_map(|axis| {
-            let of = |values: &[f32; AXES]| values.get(axis).copied().unwrap_or(f32::NAN);
+        let axes = self.axes.iter().flat_map(|axis| {
+            let of = |values: &[f32; AXES]| axis.of(values) as f32;
             let (reference, measured) = (of(&sample.setpoint_rad), of(&sample.measured_rad));
             [
                 reference,
@@ -203,8 +204,27 @@ impl Rows {
             mode: sample.mode,
             pen: sample.pen,
             stroke: sample.stroke,
+            axes: u8::try_from(self.axes.len()).unwrap_or(0),
             values,
         }
+    }
+
+    /// Following errors of a row, micro-radians or micrometres.
+    pub fn errors(&self, row: &SignalRow) -> Vec<f32> {
+        let error = |axis: &AxisView| {
+            let (_, factor) = axis.motion.error_unit();
+            row.value(axis.index * PER_AXIS + 2) * (factor / axis.motion.factor()) as f32
+        };
+        self.axes.iter().map(error).collect()
+    }
+
+    /// The machine's moving parts at the measured joints of a row; none while the position is not known.
+    pub fn parts(&self, row: &SignalRow) -> Vec<Part> {
+        let mut joints_rad = [0.0; AXES];
+        for (place, axis) in joints_rad.iter_mut().zip(&self.axes) {
+            *place = f64::from(row.value(axis.index * PER_AXIS + 1)) / axis.motion.factor();
+        }
+        moving(&self.geometry, &joints_rad, row.measured_mm().map(f64::from))
     }
 
     fn platform_mm(&self, joints_rad: &[f32; AXES]) -> [f32; 3] {
@@ -240,7 +260,7 @@ pub(crate) mod tests {
 
     #[test]
     fn every_signal_has_a_name_of_its_own_that_ends_in_its_unit() {
-        let signals = catalogue();
+        let signals = catalogue(&Config::default());
         assert_eq!(signals.len(), SIGNALS);
         for (number, signal) in signals.iter().enumerate() {
             let unit = signal.unit.replace('/', "_");
@@ -259,7 +279,7 @@ pub(crate) mod tests {
             ..sample(7, 0.3)
         };
         let row = rows.take(&moved);
-        let names = catalogue();
+        let names = catalogue(&Config::default());
         let value = |name: &str| row.value(names.iter().position(|signal| signal.name == name).unwrap());
         assert_eq!((value("q1_ref_rad"), value("q1_rad")), (0.31, 0.3));
         assert!((value("e1_rad") - 0.01).abs() < 1e-6);
@@ -269,8 +289,23 @@ pub(crate) mod tests {
     }
 
     #[test]
+    fn a_machine_with_two_linear_axes_has_their_signals_in_millimetres_and_no_others() {
+        let config = crate::settings::machines::MACHINES[2].load().unwrap();
+        let names = catalogue(&config);
+        assert_eq!(names.len(), 2 * PER_AXIS + OF_PLATFORM);
+        let mut rows = Rows::new(&config);
+        let row = rows.take(&sample(6, 0.3));
+        let value = |name: &str| row.value(names.iter().position(|signal| signal.name == name).unwrap());
+        assert!((value("q2_mm") - 30.0).abs() < 1.0e-4 && value("v1_mm_s") == 0.0);
+        assert!((value("x_mm") - 30.0).abs() < 1.0e-4, "{}", value("x_mm"));
+        assert_eq!(row.measured_mm()[0], value("x_mm"));
+        assert_eq!((names[0].label.as_str(), names[0].unit), ("a setpoint", "mm"));
+        assert_eq!((rows.errors(&row), rows.parts(&row).is_empty()), (vec![0.0; 2], false));
+    }
+
+    #[test]
     fn the_platform_has_no_speed_where_its_position_jumps() {
-        let names = catalogue();
+        let names = catalogue(&Config::default());
         let speed = names.iter().position(|signal| signal.name == "speed_mm_s").unwrap();
         let mut rows = Rows::new(&Config::default());
         rows.take(&sample(6, 0.3));

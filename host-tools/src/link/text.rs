@@ -5,12 +5,13 @@
 pub mod bus;
 mod faults;
 
+use crate::axes::{self, Motion, Quantity};
 use etherpen::application::{Fault, IoRefusal, Mode, Refusal};
 use etherpen::board::{PreviousRun, RunEnd};
 use etherpen::config::{ConfigError, IO_NAME_MAX, IoError, IoRole};
 use etherpen::messages::{Command, ConfigRefusal, Status};
 use etherpen::motion::{Outside, RefusalReason};
-use etherpen::robots::{KinematicsError, Words};
+use etherpen::robots::{Kinematics, KinematicsError, Words};
 pub use faults::fault;
 use std::borrow::Cow;
 
@@ -163,8 +164,9 @@ const MOVE_OR_SCALE: &str = "move or scale the drawing so that it lies within th
 
 /// Why a position is outside the work area.
 pub fn outside(outside: &Outside) -> String {
-    let words = Words::default();
-    let noun = words.joint;
+    let machine = axes::machine().geometry();
+    let words = Kinematics::new(&machine).map_or_else(|_| Words::default(), |kinematics| kinematics.words());
+    let joint_name = |joint: u8| axes::name(&machine, joint.into());
     match *outside {
         Outside::Radius { radius_mm, limit_mm } => {
             format!("it is {radius_mm:.1} mm from the robot's axis (limit {limit_mm:.1} mm)")
@@ -175,10 +177,10 @@ pub fn outside(outside: &Outside) -> String {
         Outside::Kinematics(KinematicsError::Apart) => format!("the {} do not meet there", words.last_links),
         Outside::Kinematics(KinematicsError::NotFinite) => "a coordinate is not a finite number".into(),
         Outside::Kinematics(KinematicsError::Unreachable { joint, .. }) => {
-            format!("{noun} {} does not reach it", one(joint))
+            format!("{} does not reach it", joint_name(joint))
         }
         Outside::Kinematics(KinematicsError::Singular { joint, .. }) | Outside::Stretched { joint, .. } => {
-            format!("{noun} {} would be stretched out", one(joint))
+            format!("{} would be stretched out", joint_name(joint))
         }
         Outside::Kinematics(KinematicsError::Range {
             joint,
@@ -191,10 +193,15 @@ pub fn outside(outside: &Outside) -> String {
             angle_rad,
             low_rad,
             high_rad,
-        } => format!(
-            "{noun} {} would be at {angle_rad:.3} rad (allowed {low_rad:.3} to {high_rad:.3} rad)",
-            one(joint)
-        ),
+        } => {
+            let motion = axes::motion(machine.kind(), joint.into());
+            let (unit, factor) = (motion.unit(Quantity::Position), motion.factor());
+            let [angle, low, high] = [angle_rad, low_rad, high_rad].map(|value| value * factor);
+            format!(
+                "{} would be at {angle:.3} {unit} (allowed {low:.3} to {high:.3} {unit})",
+                joint_name(joint)
+            )
+        }
         Outside::InnerRadius { radius_mm, limit_mm } => {
             format!("it is only {radius_mm:.1} mm from the robot's axis (at least {limit_mm:.1} mm)")
         }
@@ -329,15 +336,44 @@ pub fn config_error(error: &ConfigError) -> String {
     let why = match error.field.name() {
         "axes.quick_stop_rad_s2" => "the axis must stop from its highest speed before its brake closes; ",
         "axes.alias" | "axes.switch" | "axes.serial" => "another axis expects the same drive; ",
+        "axes.gear" if is_linear(error) => "it is gear times 628.3 mm / pitch_mm; ",
         _ => "",
     };
-    format!(
-        "{}{axis} is {}, allowed is {} to {}; {why}correct it in etherpen.toml",
-        error.field.name(),
-        error.value,
-        error.low,
-        error.high
-    )
+    let (name, factor) = written(error);
+    // Without the remainder of the conversion.
+    let shown = |value: f64| (value * factor * 1.0e6).round() / 1.0e6;
+    let [value, low, high] = match factor == 1.0 {
+        true => [error.value, error.low, error.high],
+        false => [error.value, error.low, error.high].map(shown),
+    };
+    format!("{name}{axis} is {value}, allowed is {low} to {high}; {why}correct it in etherpen.toml")
+}
+
+/// Whether the refused value belongs to a linear axis.
+fn is_linear(error: &ConfigError) -> bool {
+    let of_axis = |axis: u8| axes::motion(error.field.kind, axis.into()) == Motion::Linear;
+    error.field.axis.is_some_and(of_axis)
+}
+
+/// The refused value's name in a configuration file, and the factor from the controller's value to the written one.
+fn written(error: &ConfigError) -> (Cow<'static, str>, f64) {
+    let name = error.field.name();
+    let as_written = |axis: u8| axes::as_written(error.field.kind, axis.into(), name.strip_prefix("axes.")?);
+    if let Some((name, factor)) = error.field.axis.and_then(as_written) {
+        return (format!("axes.{name}").into(), factor);
+    }
+    // A list with a value for each axis in the axis's own unit; where all main axes are linear, it is millimetres.
+    let motions = axes::motions(error.field.kind);
+    let in_own_units = motions.contains(&Motion::Linear);
+    let factor = match motions {
+        [first, second, third, _] if first == second && second == third => first.factor(),
+        _ => 1.0,
+    };
+    match name {
+        "motion.joint_speed_rad_s" if in_own_units => ("motion.joint_speed".into(), factor),
+        "motion.joint_acceleration_rad_s2" if in_own_units => ("motion.joint_acceleration".into(), factor),
+        _ => (name.into(), 1.0),
+    }
 }
 
 /// How the previous run ended, if that is worth reporting.

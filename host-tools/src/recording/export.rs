@@ -6,6 +6,7 @@ use super::mcap::Source;
 use super::parquet;
 use super::signals::{Evaluator, Signal, Value, columns};
 use super::{Playback, RecordingEntry};
+use etherpen::config::Config;
 use std::io::{self, Write};
 
 /// Result of an export.
@@ -18,8 +19,8 @@ pub struct Exported {
 }
 
 /// The columns of a table: the device's time, then the requested signals, or all signals if none were requested.
-pub fn table_columns(signals: Option<Vec<Signal>>) -> Vec<Signal> {
-    let all = columns();
+pub fn table_columns(config: &Config, signals: Option<Vec<Signal>>) -> Vec<Signal> {
+    let all = columns(config);
     let Some(chosen) = signals else {
         return all;
     };

@@ -125,7 +125,8 @@ macro_rules! modes {
 
 const SAMPLE_SCHEMA: &str = concat!(
     "# One millisecond as the controller saw it: device time, mode, stroke, pen, measured position of the\n\
-     # platform (forward kinematics), and for each axis reference and measurement of angle and speed.\n",
+     # platform (forward kinematics), and for each axis reference and measurement of angle and speed. The joint of\n\
+     # a linear axis is a wheel that rolls along it: a radian is 100 mm. An axis without a drive has its setpoints.\n",
     modes!(),
     "uint32 t_ms\nuint32 stroke\nuint8 mode\nuint8 pen  # 1 is down\n\
      float64 x_mm\nfloat64 y_mm\nfloat64 z_mm\n\

@@ -1,10 +1,11 @@
 //! The signals of a recording by name: the columns of `telemetry.csv`, and values derived from them.
 //!
-//! Beside the columns there are `q1_error_rad` and so on: the reference to which a measured angle belongs minus the
-//! angle, which is the input of the controller. Invariant: a value that needs samples from before a gap is missing, not
+//! Beside the columns there are `q1_error_rad` and so on: the reference to which a measured position belongs minus the
+//! position, which is the input of the controller. Linear axes have millimetres. Invariant: a value that needs samples from before a gap is missing, not
 //! wrong.
 
 use super::messages::{Moment, axes};
+use crate::axes::{Motion, Quantity as JointQuantity};
 use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::motion::Pen;
@@ -25,10 +26,10 @@ enum Quantity {
     Pen,
     /// Coordinate of the platform.
     Position(usize),
-    /// Column of an axis: reference angle, angle, reference speed, speed.
-    Axis(usize, usize),
+    /// Column of an axis: reference position, position, reference speed, speed.
+    Axis(usize, usize, Motion),
     /// Following error of an axis.
-    Error(usize),
+    Error(usize, Motion),
 }
 
 /// One signal.
@@ -93,7 +94,7 @@ impl Signal {
     /// The axis of a measured speed.
     pub fn measured_speed(&self) -> Option<usize> {
         match self.quantity {
-            Quantity::Axis(axis, MEASURED_SPEED) => Some(axis),
+            Quantity::Axis(axis, MEASURED_SPEED, _) => Some(axis),
             _ => None,
         }
     }
@@ -109,8 +110,8 @@ impl Signal {
     }
 }
 
-/// The columns of `telemetry.csv`, in order.
-pub fn columns() -> Vec<Signal> {
+/// The columns of `telemetry.csv` of a machine, in order.
+pub fn columns(config: &Config) -> Vec<Signal> {
     let mut signals = vec![
         Signal::new("t_ms", "ms", Quantity::Time),
         Signal::new("mode", "", Quantity::Mode),
@@ -120,32 +121,44 @@ pub fn columns() -> Vec<Signal> {
     for (k, name) in ["x_mm", "y_mm", "z_mm"].into_iter().enumerate() {
         signals.push(Signal::new(name, "mm", Quantity::Position(k)));
     }
-    for axis in 0..AXES {
-        let number = axis + 1;
-        let of_axis = [
-            (format!("q{number}_ref_rad"), "rad"),
-            (format!("q{number}_rad"), "rad"),
-            (format!("v{number}_ref_rad_s"), "rad/s"),
-            (format!("v{number}_rad_s"), "rad/s"),
-        ];
-        for (k, (name, unit)) in of_axis.into_iter().enumerate() {
-            signals.push(Signal::new(name, unit, Quantity::Axis(axis, k)));
+    for axis in crate::axes::axes(config) {
+        let motion = axis.motion;
+        for (k, name) in axis.columns().into_iter().enumerate() {
+            signals.push(Signal::new(
+                name,
+                motion.unit(of_column(k)),
+                Quantity::Axis(axis.index, k, motion),
+            ));
         }
     }
     signals
 }
 
-/// The following errors of the axes.
-pub fn errors() -> [Signal; AXES] {
-    std::array::from_fn(|axis| Signal::new(format!("q{}_error_rad", axis + 1), "rad", Quantity::Error(axis)))
+/// The quantity of a column of an axis.
+fn of_column(column: usize) -> JointQuantity {
+    match column {
+        0 | 1 => JointQuantity::Position,
+        _ => JointQuantity::Speed,
+    }
+}
+
+/// The following errors of a machine's axes.
+pub fn errors(config: &Config) -> Vec<Signal> {
+    let error = |axis: crate::axes::AxisView| {
+        let suffix = axis.motion.suffix(JointQuantity::Position);
+        let name = format!("q{}_error_{suffix}", axis.index + 1);
+        let quantity = Quantity::Error(axis.index, axis.motion);
+        Signal::new(name, axis.motion.unit(JointQuantity::Position), quantity)
+    };
+    crate::axes::axes(config).into_iter().map(error).collect()
 }
 
 /// The signals with these names, separated by commas; `*` stands for any characters.
 ///
 /// # Errors
 /// An unknown name, with all known names.
-pub fn named(list: &str) -> Result<Vec<Signal>, String> {
-    let all: Vec<Signal> = columns().into_iter().chain(errors()).collect();
+pub fn named(list: &str, config: &Config) -> Result<Vec<Signal>, String> {
+    let all: Vec<Signal> = columns(config).into_iter().chain(errors(config)).collect();
     let mut chosen: Vec<Signal> = Vec::new();
     for pattern in list.split(',').map(str::trim).filter(|name| !name.is_empty()) {
         let matching: Vec<&Signal> = all.iter().filter(|signal| matches(pattern, &signal.name)).collect();
@@ -160,7 +173,7 @@ pub fn named(list: &str) -> Result<Vec<Signal>, String> {
         }
     }
     if chosen.is_empty() {
-        return Err("no signal was named; for example q1_ref_rad,q1_rad, or q*_error_rad".into());
+        return Err("no signal was named; for example q1_*, or q*_error_*".into());
     }
     Ok(chosen)
 }
@@ -238,16 +251,16 @@ impl Evaluator {
                 let position = [moment.position.x_mm, moment.position.y_mm, moment.position.z_mm];
                 position.get(k).map_or(Value::Missing, |value| Value::Real(*value, 4))
             }
-            Quantity::Axis(axis, k) => {
+            Quantity::Axis(axis, k, motion) => {
                 let columns = axes(sample).nth(axis).unwrap_or_default();
-                let decimals = if k < 2 { 7 } else { 5 };
-                columns
-                    .get(k)
-                    .map_or(Value::Missing, |value| Value::Real(f64::from(*value), decimals))
+                let decimals = motion.decimals(of_column(k));
+                columns.get(k).map_or(Value::Missing, |value| {
+                    Value::Real(f64::from(*value) * motion.factor(), decimals)
+                })
             }
-            Quantity::Error(axis) => self
-                .error(axis, moment)
-                .map_or(Value::Missing, |error| Value::Real(error, 7)),
+            Quantity::Error(axis, motion) => self.error(axis, moment).map_or(Value::Missing, |error| {
+                Value::Real(error * motion.factor(), motion.decimals(JointQuantity::Position))
+            }),
         }
     }
 
@@ -265,14 +278,32 @@ mod tests {
 
     #[test]
     fn names_are_the_columns_of_the_telemetry_and_a_star_stands_for_any() {
-        let names =
-            |list: &str| -> Vec<String> { named(list).unwrap().into_iter().map(|signal| signal.name).collect() };
+        let config = Config::default();
+        let names = |list: &str| -> Vec<String> {
+            let signals = named(list, &config).unwrap();
+            signals.into_iter().map(|signal| signal.name).collect()
+        };
         assert_eq!(names("q1_rad, x_mm"), ["q1_rad", "x_mm"]);
         assert_eq!(names("q*_error_rad").len(), AXES);
         assert_eq!(names("v2*,v2_rad_s"), ["v2_ref_rad_s", "v2_rad_s"]);
-        let error = named("q9_rad").unwrap_err();
+        let error = named("q9_rad", &config).unwrap_err();
         assert!(error.contains("q9_rad") && error.contains("q4_error_rad"), "{error}");
-        assert!(named(" ,").is_err());
-        assert_eq!(columns().len(), 7 + 4 * AXES);
+        assert!(named(" ,", &config).is_err());
+        assert_eq!(columns(&config).len(), 7 + 4 * AXES);
+    }
+
+    #[test]
+    fn linear_axes_are_in_millimetres_and_missing_axes_have_no_columns() {
+        let mut config = Config {
+            geometry: etherpen::robots::Kind::CoreXy.geometry(),
+            ..Config::default()
+        };
+        config.bus.drives = 2;
+        let names: Vec<_> = columns(&config).into_iter().map(|signal| signal.name).collect();
+        assert_eq!(names.len(), 7 + 4 * 2);
+        assert_eq!(names[7..11], ["q1_ref_mm", "q1_mm", "v1_ref_mm_s", "v1_mm_s"]);
+        let error = named("q2_error_mm", &config).unwrap();
+        assert_eq!((error.len(), error[0].unit), (1, "mm"));
+        assert!(named("q3*", &config).is_err());
     }
 }

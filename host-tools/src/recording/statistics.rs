@@ -7,6 +7,7 @@ use super::mcap::Source;
 use super::messages::Moment;
 use super::signals::{Evaluator, Signal, columns, errors};
 use super::{Playback, RecordingEntry};
+use crate::axes::{PerAxis, axes};
 use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::robots::AXES;
@@ -58,8 +59,9 @@ pub struct Statistics {
     pub events: u64,
     /// Whether the file has its regular end.
     pub complete: bool,
-    /// Largest following error of each axis while the robot follows a path or a move, rad.
-    pub following_error_max_rad: [f64; AXES],
+    /// Largest following error of each axis while the robot follows a path or a move.
+    #[serde(flatten)]
+    pub following_error_max: PerAxis,
     /// Time in each mode that occurred.
     pub modes: Vec<ModeDuration>,
     /// Statistics of each measured and reference signal.
@@ -194,10 +196,8 @@ impl Counting {
             }
         }
         if matches!(mode, Mode::Moving | Mode::Drawing | Mode::Holding) {
-            for (axis, most) in figures.following_error_max_rad.iter_mut().enumerate() {
-                let error = self.evaluator.error(axis, &moment).unwrap_or(0.0);
-                *most = most.max(error.abs());
-            }
+            let error = |axis| self.evaluator.error(axis, &moment).unwrap_or(0.0).abs();
+            figures.following_error_max.raise(error);
         }
     }
 }
@@ -208,8 +208,9 @@ impl Counting {
 /// The rest of the recording cannot be read.
 pub fn statistics<R: Source>(playback: &mut Playback<R>) -> io::Result<Statistics> {
     let config = playback.config();
-    let signals = columns().into_iter().filter(|signal| !signal.is_whole());
-    let signals: Vec<Signal> = signals.chain(errors()).collect();
+    let machine = config.clone().unwrap_or_default();
+    let signals = columns(&machine).into_iter().filter(|signal| !signal.is_whole());
+    let signals: Vec<Signal> = signals.chain(errors(&machine)).collect();
     let mut counting = Counting {
         evaluator: Evaluator::new(config.as_ref()),
         sums: vec![Sums::default(); signals.len()],
@@ -217,7 +218,7 @@ pub fn statistics<R: Source>(playback: &mut Playback<R>) -> io::Result<Statistic
         modes: [0; Mode::ALL.len()],
         span_s: None,
     };
-    let mut jumps = Jumps::new(&config.unwrap_or_default());
+    let mut jumps = Jumps::new(&machine);
     let mut figures = Statistics {
         source: playback.fact("source").unwrap_or_default().to_owned(),
         duration_s: 0.0,
@@ -227,7 +228,7 @@ pub fn statistics<R: Source>(playback: &mut Playback<R>) -> io::Result<Statistic
         statuses: 0,
         events: 0,
         complete: false,
-        following_error_max_rad: [0.0; AXES],
+        following_error_max: PerAxis::new("following_error_max", axes(&machine), Some(&[0.0_f64; AXES])),
         modes: Vec::new(),
         signals: Vec::new(),
     };

@@ -19,6 +19,7 @@ pub use tables::{write_intended, write_telemetry};
 pub use timing::{Jitter, Spread, Timing};
 pub use tracking_plot::write_tracking;
 
+use crate::axes::{AxisView, Motion, PerAxis, Quantity, axes};
 use crate::job::verification::Verdict;
 use crate::matching::distance;
 use deviation::{Distances, Moment, deviation, ink_deviation, ink_missing};
@@ -29,22 +30,47 @@ use etherpen::motion::{Pen, Vertex};
 use etherpen::robots::{AXES, JointAngles, Kinematics, Position};
 use platform::platform_limits;
 use serde::Serialize;
+use serde::ser::{SerializeMap, Serializer};
 
-/// Peak speed, acceleration and jerk of one axis, and their limits, from the 1 ms references.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
+/// Peak speed, acceleration and jerk of one axis, and their limits, from the 1 ms references, in the axis's unit.
+///
+/// In `report.json` the names end in the unit: `speed_rad_s`, or `speed_mm_s` of a linear axis. An axis of a machine
+/// with linear axes has its name, too.
+#[derive(Clone, Debug)]
 pub struct AxisLimits {
-    /// Highest speed, rad/s.
-    pub speed_rad_s: f64,
-    /// Limit of the speed, rad/s.
-    pub speed_limit_rad_s: f64,
-    /// Highest acceleration, rad/s2.
-    pub acceleration_rad_s2: f64,
-    /// Limit of the acceleration, rad/s2.
-    pub acceleration_limit_rad_s2: f64,
-    /// Highest jerk, rad/s3.
-    pub jerk_rad_s3: f64,
-    /// Limit of the jerk, rad/s3: 2 A / T with the jerk window T; `null` without a window.
-    pub jerk_limit_rad_s3: Option<f64>,
+    /// The axis.
+    pub axis: AxisView,
+    /// Whether the axis is told by its name.
+    pub is_named: bool,
+    /// Highest speed and its limit.
+    pub speed: [f64; 2],
+    /// Highest acceleration and its limit.
+    pub acceleration: [f64; 2],
+    /// Highest jerk.
+    pub jerk: f64,
+    /// Limit of the jerk: 2 A / T with the jerk window T; `null` without a window.
+    pub jerk_limit: Option<f64>,
+}
+
+impl Serialize for AxisLimits {
+    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
+        let mut map = serializer.serialize_map(None)?;
+        if self.is_named {
+            map.serialize_entry("axis", &self.axis.name)?;
+        }
+        let motion = self.axis.motion;
+        let mut entry = |name: &str, quantity, value: Option<f64>| {
+            map.serialize_entry(&format!("{name}_{}", motion.suffix(quantity)), &value)
+        };
+        let ([speed, speed_limit], [acceleration, acceleration_limit]) = (self.speed, self.acceleration);
+        entry("speed", Quantity::Speed, Some(speed))?;
+        entry("speed_limit", Quantity::Speed, Some(speed_limit))?;
+        entry("acceleration", Quantity::Acceleration, Some(acceleration))?;
+        entry("acceleration_limit", Quantity::Acceleration, Some(acceleration_limit))?;
+        entry("jerk", Quantity::Jerk, Some(self.jerk))?;
+        entry("jerk_limit", Quantity::Jerk, self.jerk_limit)?;
+        map.end()
+    }
 }
 
 /// Peak speed and acceleration of the platform from the 1 ms references, and their limits.
@@ -121,10 +147,11 @@ pub struct Report {
     pub tracking_error_rms_mm: f64,
     /// Intended length without ink nearby, mm; `null` if the paper cannot be read.
     pub ink_missing_mm: f64,
-    /// Largest following error per axis, rad.
-    pub following_error_max_rad: [f64; AXES],
+    /// Largest following error per axis.
+    #[serde(flatten)]
+    pub following_error_max: PerAxis,
     /// Peaks and limits per axis.
-    pub limits: [AxisLimits; AXES],
+    pub limits: Vec<AxisLimits>,
     /// Peaks and limits of the platform.
     pub platform: PlatformLimits,
     /// Milliseconds the firmware ran.
@@ -282,7 +309,11 @@ impl Report {
             tracking_error_max_mm: tracking.max_mm,
             tracking_error_rms_mm: tracking.rms_mm,
             ink_missing_mm,
-            following_error_max_rad: following_error(evidence.config, &drawing),
+            following_error_max: PerAxis::new(
+                "following_error_max",
+                axes(evidence.config),
+                Some(&following_error(evidence.config, &drawing)),
+            ),
             limits: limits(evidence.config, &drawing),
             platform: platform_limits(evidence.config, &drawing),
             cycles: counters.cycles,
@@ -356,26 +387,27 @@ fn following_error(config: &Config, samples: &[Sample]) -> [f64; AXES] {
     })
 }
 
-fn limits(config: &Config, samples: &[Sample]) -> [AxisLimits; AXES] {
+fn limits(config: &Config, samples: &[Sample]) -> Vec<AxisLimits> {
     let motion = &config.motion;
     let window_s = f64::from(motion.jerk_window_ms) / 1_000.0;
-    std::array::from_fn(|axis| {
-        let speed: Vec<f64> = samples
-            .iter()
-            .map(|sample| f64::from(sample.setpoint_rad_s[axis]))
-            .collect();
+    let axes = axes(config);
+    let is_named = axes.iter().any(|axis| axis.motion == Motion::Linear);
+    let of_axis = |axis: AxisView| {
+        let speed: Vec<f64> = samples.iter().map(|sample| axis.of(&sample.setpoint_rad_s)).collect();
         let per_second = |values: &[f64]| -> Vec<f64> { values.windows(2).map(|w| (w[1] - w[0]) * 1_000.0).collect() };
         let peak = |values: &[f64]| values.iter().fold(0.0_f64, |peak, value| peak.max(value.abs()));
         let acceleration = per_second(&speed);
+        let acceleration_limit = axis.of(&motion.joint_acceleration_rad_s2);
         AxisLimits {
-            speed_rad_s: peak(&speed),
-            speed_limit_rad_s: motion.joint_speed_rad_s[axis],
-            acceleration_rad_s2: peak(&acceleration),
-            acceleration_limit_rad_s2: motion.joint_acceleration_rad_s2[axis],
-            jerk_rad_s3: peak(&per_second(&acceleration)),
-            jerk_limit_rad_s3: (window_s > 0.0).then(|| 2.0 * motion.joint_acceleration_rad_s2[axis] / window_s),
+            is_named,
+            speed: [peak(&speed), axis.of(&motion.joint_speed_rad_s)],
+            acceleration: [peak(&acceleration), acceleration_limit],
+            jerk: peak(&per_second(&acceleration)),
+            jerk_limit: (window_s > 0.0).then(|| 2.0 * acceleration_limit / window_s),
+            axis,
         }
-    })
+    };
+    axes.into_iter().map(of_axis).collect()
 }
 
 #[cfg(test)]
@@ -413,5 +445,28 @@ mod tests {
             ]
         );
         assert_eq!(lengths(&path), (3.0, 1.0));
+    }
+
+    #[test]
+    fn limits_are_told_in_the_unit_of_their_axis() {
+        let limits = |config: &Config| serde_json::to_value(limits(config, &[])).unwrap();
+        let arms = limits(&Config::default());
+        assert_eq!(
+            (arms.as_array().unwrap().len(), &arms[0]["speed_limit_rad_s"]),
+            (4, &25.0.into())
+        );
+        assert_eq!(arms[0].as_object().unwrap().len(), 6);
+        let mut config = Config {
+            geometry: etherpen::robots::Kind::CoreXy.geometry(),
+            ..Config::default()
+        };
+        config.bus.drives = 2;
+        let belts = limits(&config);
+        assert_eq!(belts.as_array().unwrap().len(), 2);
+        assert_eq!(
+            (&belts[1]["axis"], &belts[1]["speed_limit_mm_s"]),
+            (&"b".into(), &2_500.0.into())
+        );
+        assert!(belts[0].get("jerk_mm_s3").is_some() && belts[0].get("speed_rad_s").is_none());
     }
 }

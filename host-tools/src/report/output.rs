@@ -173,7 +173,7 @@ impl<'a> Outcome<'a> {
         }
         save("intended.csv", &mut |out| write_intended(&self.prepared.path, out))?;
         save("telemetry.csv", &mut |out| {
-            write_telemetry(&rows(self.config, &self.job.samples), out)
+            write_telemetry(self.config, &rows(self.config, &self.job.samples), out)
         })?;
         save("telemetry.mcap", &mut |out| self.write_recording(out))?;
         save("tracking.svg", &mut |out| {

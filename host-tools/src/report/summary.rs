@@ -78,10 +78,11 @@ fn deviations(report: &Report) {
             report.followed_mm + report.not_followed_mm + report.not_verified_mm
         );
     }
-    let shares = report
-        .limits
-        .map(|axis| axis.acceleration_rad_s2 / axis.acceleration_limit_rad_s2);
-    let share = shares.iter().fold(0.0_f64, |most, share| most.max(*share));
+    let shares = report.limits.iter().map(|axis| {
+        let [most, limit] = axis.acceleration;
+        most / limit
+    });
+    let share = shares.fold(0.0_f64, f64::max);
     eprintln!(
         "Joints used at most {:.0} % of their acceleration limit.",
         100.0 * share

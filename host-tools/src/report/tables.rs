@@ -3,18 +3,21 @@
 //! Invariant: one row of `telemetry.csv` for each millisecond that arrived, in order.
 
 use super::{Row, strokes};
+use crate::axes::{Quantity, axes};
+use etherpen::config::Config;
 use etherpen::motion::{Pen, Vertex};
-use etherpen::robots::{AXES, Position};
+use etherpen::robots::Position;
 use std::io::{self, Write};
 
-/// Writes `telemetry.csv`.
+/// Writes `telemetry.csv`: the columns of every axis that the machine has, in the axis's unit.
 ///
 /// # Errors
 /// Errors of the writer.
-pub fn write_telemetry(rows: &[Row], mut out: impl Write) -> io::Result<()> {
+pub fn write_telemetry(config: &Config, rows: &[Row], mut out: impl Write) -> io::Result<()> {
     write!(out, "t_ms,mode,stroke,pen,x_mm,y_mm,z_mm")?;
-    for k in 1..=AXES {
-        write!(out, ",q{k}_ref_rad,q{k}_rad,v{k}_ref_rad_s,v{k}_rad_s")?;
+    let axes = axes(config);
+    for column in axes.iter().flat_map(|axis| axis.columns()) {
+        write!(out, ",{column}")?;
     }
     writeln!(out)?;
     for Row {
@@ -32,10 +35,14 @@ pub fn write_telemetry(rows: &[Row], mut out: impl Write) -> io::Result<()> {
             "{},{:?},{stroke},{pen},{x_mm:.4},{y_mm:.4},{z_mm:.4}",
             sample.t_ms, sample.mode
         )?;
-        for k in 0..AXES {
-            let (q_ref, q) = (sample.setpoint_rad[k], sample.measured_rad[k]);
-            let (v_ref, v) = (sample.setpoint_rad_s[k], sample.measured_rad_s[k]);
-            write!(out, ",{q_ref:.7},{q:.7},{v_ref:.5},{v:.5}")?;
+        for axis in &axes {
+            let (q_ref, q) = (axis.of(&sample.setpoint_rad), axis.of(&sample.measured_rad));
+            let (v_ref, v) = (axis.of(&sample.setpoint_rad_s), axis.of(&sample.measured_rad_s));
+            let (of_q, of_v) = (
+                axis.motion.decimals(Quantity::Position),
+                axis.motion.decimals(Quantity::Speed),
+            );
+            write!(out, ",{q_ref:.of_q$},{q:.of_q$},{v_ref:.of_v$},{v:.of_v$}")?;
         }
         writeln!(out)?;
     }

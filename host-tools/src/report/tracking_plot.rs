@@ -7,12 +7,14 @@
 //! Invariant: every scale has its unit, and the axes of one column have one scale for the time.
 
 use super::drawn_part;
+use crate::axes::{AxisView, Motion, Quantity, axes};
 use crate::plot::{Anchor, Frame, INK, Pen, Picture, Scale, legend_entry, round_marks};
 use etherpen::config::Config;
 use etherpen::messages::Sample;
-use etherpen::robots::{AXES, Words};
 use std::io::{self, Write};
 
+/// Numbers of axes in words.
+const NUMBERS: [&str; 5] = ["no", "one", "two", "three", "four"];
 /// Length of the window, ms.
 const WINDOW_MS: usize = 2_000;
 /// Samples between two points of a position.
@@ -46,6 +48,8 @@ const ERROR: Pen = Pen {
 struct Panel {
     column: usize,
     row: usize,
+    /// Whether it is the lowest of its column.
+    is_last: bool,
     title: String,
     /// Low and high end of the scale.
     range: [f64; 2],
@@ -59,33 +63,46 @@ struct Panel {
 /// Errors of the writer.
 pub fn write_tracking(config: &Config, samples: &[Sample], mut out: impl Write) -> io::Result<()> {
     let drawing: Vec<Sample> = drawn_part(samples).copied().collect();
-    let errors: [Vec<f64>; AXES] = std::array::from_fn(|axis| differences(config, &drawing, axis));
+    let axes = axes(config);
+    let errors: Vec<Vec<f64>> = axes.iter().map(|axis| differences(config, &drawing, axis)).collect();
     let worst = (0..drawing.len())
-        .max_by(|a, b| largest_at(&errors, *a).total_cmp(&largest_at(&errors, *b)))
+        .max_by(|a, b| largest_at(&axes, &errors, *a).total_cmp(&largest_at(&axes, &errors, *b)))
         .unwrap_or(0);
     let first = worst
         .saturating_sub(WINDOW_MS / 2)
         .min(drawing.len().saturating_sub(WINDOW_MS));
     let last = (first + WINDOW_MS).min(drawing.len());
-    let error_span = errors
-        .iter()
-        .flat_map(|of_axis| &of_axis[first..last])
-        .fold(0.0_f64, |most, error| most.max(error.abs()));
-    let error_span = if error_span > 0.0 { 1.15 * error_span } else { 1.0 };
+    // The scale of the errors is the same for all axes of one unit.
+    let error_span = |motion: Motion| {
+        let of_unit = axes.iter().zip(&errors).filter(|(axis, _)| axis.motion == motion);
+        let values = of_unit.flat_map(|(_, of_axis)| &of_axis[first..last]);
+        let most = values.fold(0.0_f64, |most, error| most.max(error.abs()));
+        if most > 0.0 { 1.15 * most } else { 1.0 }
+    };
     let window = Window {
         samples: &drawing[first..last],
         first,
         seconds: [first as f64 / 1_000.0, last as f64 / 1_000.0],
     };
-    let mut picture = Picture::new(WIDTH, TOP + ROW_HEIGHT * AXES as f64 + BOTTOM);
+    let mut picture = Picture::new(WIDTH, TOP + ROW_HEIGHT * axes.len() as f64 + BOTTOM);
     let title = format!(
-        "Tracking of the four axes, {:.2} to {:.2} s of the drawing, around its largest error",
-        window.seconds[0], window.seconds[1]
+        "Tracking of the {} axes, {:.2} to {:.2} s of the drawing, around its largest error",
+        NUMBERS.get(axes.len()).unwrap_or(&""),
+        window.seconds[0],
+        window.seconds[1]
     );
     picture.text([LEFT[0], 30.0], Anchor::Start, title, INK);
     legend(&mut picture);
-    for (axis, errors) in errors.iter().enumerate() {
-        axis_panels(&mut picture, &window, axis, &errors[first..last], error_span);
+    for (axis, errors) in axes.iter().zip(&errors) {
+        let is_last = axis.index + 1 == axes.len();
+        axis_panels(
+            &mut picture,
+            &window,
+            axis,
+            &errors[first..last],
+            error_span(axis.motion),
+            is_last,
+        );
     }
     out.write_all(picture.svg().as_bytes())
 }
@@ -99,30 +116,34 @@ struct Window<'a> {
     seconds: [f64; 2],
 }
 
-/// Draws position and error of one axis. `error_span` is the end of the error's scale, micro-radians.
-fn axis_panels(picture: &mut Picture, window: &Window, axis: usize, errors: &[f64], error_span: f64) {
+/// Draws position and error of one axis. `error_span` is the end of the error's scale, in the axis's unit of errors.
+fn axis_panels(
+    picture: &mut Picture,
+    window: &Window,
+    axis: &AxisView,
+    errors: &[f64],
+    error_span: f64,
+    is_last: bool,
+) {
     let at = |k: usize, value: f64| [(window.first + k) as f64 / 1_000.0, value];
-    let positions = |of: &dyn Fn(&Sample) -> f32| -> Vec<[f64; 2]> {
+    let positions = |of: &dyn Fn(&Sample) -> f64| -> Vec<[f64; 2]> {
         let points = window.samples.iter().enumerate().step_by(POSITION_EVERY);
-        points.map(|(k, sample)| at(k, of(sample).into())).collect()
+        points.map(|(k, sample)| at(k, of(sample))).collect()
     };
     let (setpoint, actual) = (
-        positions(&|s| s.setpoint_rad[axis]),
-        positions(&|s| s.measured_rad[axis]),
+        positions(&|s| axis.of(&s.setpoint_rad)),
+        positions(&|s| axis.of(&s.measured_rad)),
     );
-    let name = if axis + 1 == AXES {
-        "axis 4".to_owned()
-    } else {
-        format!("{} {}", Words::default().joint, axis + 1)
-    };
+    let (name, motion) = (&axis.name, axis.motion);
     panel(
         picture,
         window.seconds,
         &Panel {
             column: 0,
-            row: axis,
-            title: format!("{name}: position, rad"),
-            range: range(&setpoint),
+            row: axis.index,
+            is_last,
+            title: format!("{name}: position, {}", motion.unit(Quantity::Position)),
+            range: range(&setpoint, motion.factor()),
             lines: vec![(SETPOINT, setpoint), (ACTUAL, actual)],
         },
     );
@@ -132,40 +153,43 @@ fn axis_panels(picture: &mut Picture, window: &Window, axis: usize, errors: &[f6
         window.seconds,
         &Panel {
             column: 1,
-            row: axis,
-            title: format!("{name}: setpoint minus actual, µrad"),
+            row: axis.index,
+            is_last,
+            title: format!("{name}: setpoint minus actual, {}", motion.error_unit().0),
             range: [-error_span, error_span],
             lines: vec![(ERROR, points)],
         },
     );
 }
 
-/// Differences between the setpoint of the measurement's age and the measurement, micro-radians.
-fn differences(config: &Config, samples: &[Sample], axis: usize) -> Vec<f64> {
+/// Differences between the setpoint of the measurement's age and the measurement, in the axis's unit of errors.
+fn differences(config: &Config, samples: &[Sample], axis: &AxisView) -> Vec<f64> {
+    let (_, factor) = axis.motion.error_unit();
+    let axis = axis.index;
     let age = config.axes[axis].measurement_age_ms.round() as usize;
     let before = |index: usize| samples.get(index.saturating_sub(age));
     let difference = |(index, sample): (usize, &Sample)| {
         let setpoint = before(index).map_or(0.0, |cause| f64::from(cause.setpoint_rad[axis]));
-        (setpoint - f64::from(sample.measured_rad[axis])) * 1e6
+        (setpoint - f64::from(sample.measured_rad[axis])) * factor
     };
     samples.iter().enumerate().map(difference).collect()
 }
 
-fn largest_at(errors: &[Vec<f64>; AXES], index: usize) -> f64 {
-    errors
-        .iter()
-        .filter_map(|of_axis| of_axis.get(index))
-        .fold(0.0, |most, error| most.max(error.abs()))
+/// Largest error of a millisecond, controller's value.
+fn largest_at(axes: &[AxisView], errors: &[Vec<f64>], index: usize) -> f64 {
+    let errors = axes.iter().zip(errors);
+    let at = errors.filter_map(|(axis, of_axis)| Some(of_axis.get(index)? / axis.motion.error_unit().1));
+    at.fold(0.0, |most, error| most.max(error.abs()))
 }
 
-/// A scale with a margin around the values, and at least a milliradian high.
-fn range(points: &[[f64; 2]]) -> [f64; 2] {
+/// A scale with a margin around the values, and at least a thousandth of `unit` high.
+fn range(points: &[[f64; 2]], unit: f64) -> [f64; 2] {
     let low = points.iter().fold(f64::INFINITY, |low, point| low.min(point[1]));
     let high = points.iter().fold(f64::NEG_INFINITY, |high, point| high.max(point[1]));
     if low > high {
         return [-1.0, 1.0];
     }
-    let room = (0.1 * (high - low)).max(5e-4);
+    let room = (0.1 * (high - low)).max(5e-4 * unit);
     [low - room, high + room]
 }
 
@@ -190,7 +214,7 @@ fn panel(picture: &mut Picture, times: [f64; 2], panel: &Panel) {
     picture.text([frame.left, frame.top - 8.0], Anchor::Start, &panel.title, INK);
     frame.marks_up(picture, round_marks(panel.range));
     frame.marks_across(picture, round_marks(times));
-    if panel.row + 1 == AXES {
+    if panel.is_last {
         frame.name_across(picture, "time since the drawing began, s");
     }
     for (pen, points) in &panel.lines {
@@ -204,6 +228,7 @@ mod tests {
     use super::*;
     use etherpen::application::Mode;
     use etherpen::motion::Pen;
+    use etherpen::robots::{AXES, Kind};
 
     fn sample(ms: u32) -> Sample {
         let angle = 0.3 + 0.1 * (ms as f32 / 300.0).sin();
@@ -229,6 +254,22 @@ mod tests {
         assert_eq!(text.matches("position, rad").count(), AXES);
         assert_eq!(text.matches("setpoint minus actual, µrad").count(), AXES);
         assert!(!text.contains("NaN") && !text.contains("inf"));
+    }
+
+    #[test]
+    fn a_machine_with_two_linear_axes_has_two_rows_in_millimetres() {
+        let mut config = Config {
+            geometry: Kind::CoreXy.geometry(),
+            ..Config::default()
+        };
+        config.bus.drives = 2;
+        let samples: Vec<Sample> = (0..3_000).map(sample).collect();
+        let mut svg = Vec::new();
+        write_tracking(&config, &samples, &mut svg).unwrap();
+        let text = String::from_utf8(svg).unwrap();
+        assert!(text.contains("Tracking of the two axes") && text.contains("b: setpoint minus actual, µm"));
+        assert_eq!(text.matches("position, mm").count(), 2);
+        assert!(!text.contains("rad<"), "no angle");
     }
 
     #[test]

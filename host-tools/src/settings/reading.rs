@@ -9,6 +9,7 @@
 //!
 //! Invariant: a message names the line and the value as they are written.
 
+use crate::axes::{LINEAR, Unit};
 use etherpen::config::Config;
 use etherpen::robots::{AXES, Kind, LINEAR_MM_PER_RAD};
 use serde::Deserialize;
@@ -20,36 +21,6 @@ use toml::de::{DeArray, DeTable, DeValue, Deserializer};
 const SHARED: &str = "axis_defaults";
 /// Travel of a linear axis for one turn of its screw or pulley.
 const PITCH: &str = "pitch_mm";
-/// Metres for a radian of a linear axis.
-const M_PER_RAD: f64 = LINEAR_MM_PER_RAD / 1_000.0;
-
-/// A value that a linear axis has in another unit: its name in the file, that of the controller's value, and the factor.
-struct Unit(&'static str, &'static str, f64);
-
-/// Values of a linear axis.
-const LINEAR: [Unit; 8] = [
-    Unit("sync_mm", "sync_angle_rad", 1.0 / LINEAR_MM_PER_RAD),
-    Unit(
-        "following_error_max_mm",
-        "following_error_max_rad",
-        1.0 / LINEAR_MM_PER_RAD,
-    ),
-    Unit(
-        "feedback_deviation_max_mm",
-        "feedback_deviation_max_rad",
-        1.0 / LINEAR_MM_PER_RAD,
-    ),
-    Unit(
-        "feedback_acceleration_max_mm_s2",
-        "feedback_acceleration_max_rad_s2",
-        1.0 / LINEAR_MM_PER_RAD,
-    ),
-    Unit("output_max_mm_s", "output_max_rad_s", 1.0 / LINEAR_MM_PER_RAD),
-    Unit("quick_stop_mm_s2", "quick_stop_rad_s2", 1.0 / LINEAR_MM_PER_RAD),
-    Unit("mass_kg", "inertia_kg_m2", M_PER_RAD * M_PER_RAD),
-    Unit("force_max_n", "torque_max_nm", M_PER_RAD),
-];
-
 /// Values of `home` of a linear axis.
 const HOME_LINEAR: [Unit; 4] = [
     Unit("speed_mm_s", "speed_rad_s", 1.0 / LINEAR_MM_PER_RAD),
@@ -432,16 +403,6 @@ fn complete(table: &mut DeTable<'_>) {
     if let DeValue::Table(bus) = bus.get_mut() {
         bus.entry(Spanned::new(0..0, "drives".into())).or_insert(drives);
     }
-}
-
-/// The name in the file of a value of an axis, and the factor from the controller's value to it.
-#[must_use]
-pub fn as_written(axis: usize, name: &str, linear: &[bool; AXES]) -> Option<(&'static str, f64)> {
-    let is_linear = linear.get(axis).copied().unwrap_or(false);
-    LINEAR
-        .iter()
-        .find(|Unit(_, to, _)| is_linear && *to == name)
-        .map(|Unit(from, _, factor)| (*from, 1.0 / factor))
 }
 
 #[cfg(test)]

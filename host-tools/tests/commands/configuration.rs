@@ -81,3 +81,77 @@ fn orders_without_a_machine_or_with_nonsense_are_told() {
     assert_eq!(status, Some(i32::from(code::USAGE)));
     assert!(stderr.contains("tcp:127.0.0.1:5000"), "{stderr}");
 }
+
+#[test]
+fn a_new_configuration_passes_the_check_and_is_not_overwritten() {
+    let folder = Folder::new();
+    let new = [
+        "config", "new", "--kind", "gantry", "--width", "900", "--depth", "600", "--pitch", "60",
+    ];
+    let (status, _, stderr) = run(etherpen(&folder).args(new));
+    assert_eq!(status, Some(0), "{stderr}");
+    let (status, stdout, stderr) = run(etherpen(&folder).args(["config", "check", "--json"]));
+    assert_eq!(status, Some(0), "{stderr}");
+    let checked: serde_json::Value = serde_json::from_str(&stdout).expect("JSON");
+    assert_eq!(
+        (&checked["valid"], &checked["findings"]),
+        (&true.into(), &serde_json::json!([]))
+    );
+    let (status, _, stderr) = run(etherpen(&folder).args(new));
+    assert_eq!(status, Some(i32::from(code::USAGE)));
+    assert!(
+        stderr.contains("etherpen.toml exists") && stderr.contains("--force"),
+        "{stderr}"
+    );
+    assert_eq!(run(etherpen(&folder).args(new).arg("--force")).0, Some(0));
+    // Nobody is there to be asked.
+    let (status, _, stderr) = run(etherpen(&folder).args(["config", "new", "other.toml"]));
+    assert_eq!(status, Some(i32::from(code::USAGE)));
+    assert!(stderr.contains("--kind") && stderr.contains("linear-delta"), "{stderr}");
+}
+
+#[test]
+fn a_wrong_configuration_is_told_with_file_line_and_remedy() {
+    let folder = Folder::new();
+    folder.file(
+        "my.toml",
+        "[geometry]\nkind = \"corexy\"\n[[axes]]\npitch_mm = 40.0\n[[axes]]\n",
+    );
+    let (status, stdout, _) = run(etherpen(&folder).args(["config", "check", "my.toml"]));
+    assert_eq!(status, Some(i32::from(code::USAGE)));
+    let first = stdout.lines().next().unwrap_or_default();
+    assert!(
+        first.starts_with("error: my.toml: line 5: axis 2 is linear: pitch_mm"),
+        "{stdout}"
+    );
+    let (status, _, stderr) = run(etherpen(&folder).args(["simulate", "none.svg", "--config", "my.toml"]));
+    assert_eq!(status, Some(i32::from(code::USAGE)));
+    assert!(stderr.contains("my.toml") && stderr.contains("line 5"), "{stderr}");
+    let (status, _, stderr) = run(etherpen(&folder).args(["config", "check"]));
+    assert_eq!(status, Some(i32::from(code::USAGE)));
+    assert!(stderr.contains("etherpen config new"), "{stderr}");
+}
+
+#[test]
+fn kinematics_of_a_bundled_machine_are_in_millimetres_where_its_axes_are_linear() {
+    let folder = Folder::new();
+    let words = [
+        "kinematics",
+        "inverse",
+        "--machine",
+        "gantry",
+        "--position",
+        "320,240,-30",
+        "--json",
+    ];
+    let (status, stdout, stderr) = run(etherpen(&folder).args(words));
+    assert_eq!(status, Some(0), "{stderr}");
+    let answer: serde_json::Value = serde_json::from_str(&stdout).expect("JSON");
+    let joints: Vec<f64> = serde_json::from_value(answer["joints_mm"].clone()).expect("three lengths");
+    assert!(
+        joints
+            .iter()
+            .zip([320.0, 240.0, -30.0])
+            .all(|(joint, mm)| (joint - mm).abs() < 1.0e-9)
+    );
+}

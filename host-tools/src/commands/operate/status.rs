@@ -2,6 +2,7 @@
 
 use super::Arguments;
 use super::io::Shown;
+use crate::axes::{PerAxis, axes};
 use crate::commands::print_json;
 use crate::error::ProgramError;
 use crate::job::progress::Progress;
@@ -15,7 +16,7 @@ use etherpen::config::Config;
 use etherpen::drives::cia402::StatusWord;
 use etherpen::messages::{Counters, Sample, SlaveStatus, Status};
 use etherpen::motion::Pen;
-use etherpen::robots::{AXES, JointAngles, Kinematics};
+use etherpen::robots::{JointAngles, Kinematics};
 use serde::Serialize;
 use std::borrow::Cow;
 
@@ -46,10 +47,11 @@ struct Answer<'a> {
     referenced: bool,
     override_percent: Option<u8>,
     config: Option<String>,
-    joints_rad: Option<[f64; AXES]>,
+    #[serde(flatten)]
+    joints: PerAxis,
     position_mm: Option<[f64; 3]>,
     pen: Option<Pen>,
-    increments: Option<[Option<u32>; AXES]>,
+    increments: Option<Vec<Option<u32>>>,
     counters: Option<Counters>,
     drives: Vec<Drive>,
     /// The named inputs and outputs of terminals.
@@ -104,10 +106,10 @@ fn answer<'a>(config: &Config, snapshot: &'a Snapshot, owner: Option<&'a Owner>)
         config: status
             .and_then(|status| status.config)
             .map(crate::job::history::hash_text),
-        joints_rad: joints,
+        joints: PerAxis::new("joints", axes(config), joints.as_ref()),
         position_mm: position.map(Into::into),
         pen: sample.map(|sample| sample.pen),
-        increments: status.map(|status| status.increments),
+        increments: status.map(|status| status.increments.into_iter().take(config.bus.drives.into()).collect()),
         counters: status.map(|status| status.counters),
         drives: status.map(drives).unwrap_or_default(),
         io: status.map(|status| Shown::all(config, status)).unwrap_or_default(),
@@ -151,8 +153,8 @@ fn print(answer: &Answer, snapshot: &Snapshot) {
     if let Some(percent) = answer.override_percent {
         println!("speed override: {percent} %");
     }
-    if let Some([first, second, third, fourth]) = answer.joints_rad {
-        println!("joints: {first:.4}, {second:.4}, {third:.4}, {fourth:.4} rad");
+    if answer.joints.iter().next().is_some() {
+        println!("joints: {}", answer.joints.text());
     }
     if let Some([x, y, z]) = answer.position_mm {
         println!("position: {x:.2}, {y:.2}, {z:.2} mm");

@@ -2,6 +2,7 @@
 
 use super::bus::{PORT_HINT, al_state, bring_up_code, bring_up_step, identity_property, port_state};
 use super::one;
+use crate::axes::{self, Motion, Quantity};
 use etherpen::application::{Fault, InputCause, StopSource};
 use etherpen::config::IoRole;
 use etherpen::control::search::SearchFailure;
@@ -55,18 +56,20 @@ pub fn fault(fault: &Fault) -> String {
             error_rad,
             limit_rad,
         } => format!(
-            "axis {} was {error_rad:.4} rad from its setpoint (limit {limit_rad:.4} rad); look for a collision, a closed \
-             brake or gains that are too low",
-            one(axis)
+            "axis {} was {} from its setpoint (limit {}); look for a collision, a closed brake or gains that are too low",
+            one(axis),
+            told(axis, Quantity::Position, error_rad),
+            told(axis, Quantity::Position, limit_rad)
         ),
         Fault::OutputLimit {
             axis,
             output_rad_s,
             limit_rad_s,
         } => format!(
-            "the controller of axis {} asked for {output_rad_s:.2} rad/s (limit {limit_rad_s:.2} rad/s); check gear, \
-             scaling and gains",
-            one(axis)
+            "the controller of axis {} asked for {} (limit {}); check gear, scaling and gains",
+            one(axis),
+            told(axis, Quantity::Speed, output_rad_s),
+            told(axis, Quantity::Speed, limit_rad_s)
         ),
         Fault::ReferenceLost { axis } => format!(
             "positions of axis {} were missing for so long that its motor's turn is unknown; acknowledge, move \
@@ -153,20 +156,23 @@ pub fn fault(fault: &Fault) -> String {
             deviation_rad,
             limit_rad,
         } => format!(
-            "axis {} measured a motion that differs from the commanded one by {deviation_rad:.4} rad (limit {limit_rad:.4} rad): its \
+            "axis {} measured a motion that differs from the commanded one by {} (limit {}): its \
              resolver is frozen, slips, is reversed or is another axis's, or the drive does not follow; check resolver, \
              coupling and cables, then acknowledge and home the robot again",
-            one(axis)
+            one(axis),
+            told(axis, Quantity::Position, deviation_rad),
+            told(axis, Quantity::Position, limit_rad)
         ),
         Fault::FeedbackNoise {
             axis,
             acceleration_rad_s2,
             limit_rad_s2,
         } => format!(
-            "the measured position of axis {} is erratic: {acceleration_rad_s2:.0} rad/s2 on average (limit \
-             {limit_rad_s2:.0} rad/s2); check the resolver's cable and its shield, then acknowledge and home the \
-             robot again",
-            one(axis)
+            "the measured position of axis {} is erratic: {} on average (limit {}); check the resolver's cable and its \
+             shield, then acknowledge and home the robot again",
+            one(axis),
+            told(axis, Quantity::Acceleration, acceleration_rad_s2),
+            told(axis, Quantity::Acceleration, limit_rad_s2)
         ),
         Fault::ProcessorStopped { slave, expiries } => format!(
             "the processor of slave {} stopped ({expiries} times since the bring-up) while its controller kept \
@@ -214,6 +220,21 @@ pub fn fault(fault: &Fault) -> String {
              scan)"
         ),
     }
+}
+
+/// A controller's value of an axis, from 0, in the axis's unit.
+fn told(axis: u8, quantity: Quantity, value: impl Into<f64>) -> String {
+    let motion = axes::motion(axes::machine(), axis.into());
+    let decimals = match (quantity, motion) {
+        (Quantity::Position, Motion::Rotary) => 4,
+        (Quantity::Position, Motion::Linear) | (Quantity::Speed, Motion::Rotary) => 2,
+        _ => 0,
+    };
+    format!(
+        "{:.decimals$} {}",
+        value.into() * motion.factor(),
+        motion.unit(quantity)
+    )
 }
 
 /// A slave by its place in the chain; the critical tasks detect that a slave has left OP before it is known which one.

@@ -1,0 +1,607 @@
+//! Checks a configuration file as its owner reads it: what is wrong, what is missing, what is unlikely.
+//!
+//! An error is a file that no command accepts, or with which the machine cannot draw. A warning is a value that is
+//! allowed and that few machines have.
+//!
+//! Invariant: every finding says what to write; its line is that of the file.
+
+use super::reading::{self, ReadingError};
+use super::shortened;
+use crate::axes::{AxisView, Motion, Quantity, axes};
+use crate::link::text;
+use etherpen::config::{Config, ConfigError, IoError, IoRole, PenLiftKind};
+use etherpen::motion::WorkArea;
+use etherpen::robots::{GeometryError, Kinematics, MAIN_AXES, Position};
+use serde::Serialize;
+use std::f64::consts::TAU;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// Fastest usual servo motor, revolutions per minute.
+const MOTOR_MAX_RPM: f64 = 6_000.0;
+/// Least share of an axis's acceleration that its quick stop usually has.
+const QUICK_STOP_MIN: f64 = 0.3;
+
+/// How grave a finding is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Gravity {
+    /// The file cannot be used.
+    Error,
+    /// The file can be used; the value is unlikely.
+    Warning,
+}
+
+/// One finding.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Finding {
+    /// How grave it is.
+    pub gravity: Gravity,
+    /// Line in the file, from 1; absent for what is missing from the file.
+    pub line: Option<usize>,
+    /// What is wrong, and what to write.
+    pub text: String,
+}
+
+impl std::fmt::Display for Finding {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self.line {
+            Some(line) => write!(f, "line {line}: {}", self.text),
+            None => f.write_str(&self.text),
+        }
+    }
+}
+
+/// The places of values in a file.
+struct Places<'a> {
+    text: &'a str,
+    table: Option<Spanned<DeTable<'a>>>,
+}
+
+impl<'a> Places<'a> {
+    fn new(text: &'a str) -> Self {
+        Self {
+            text,
+            table: DeTable::parse(text).ok(),
+        }
+    }
+
+    fn line(&self, place: usize) -> usize {
+        let before = self.text.get(..place).unwrap_or(self.text);
+        before.matches('\n').count() + 1
+    }
+
+    fn table(&self, name: &str) -> Option<&DeTable<'a>> {
+        self.table.as_ref()?.get_ref().get(name)?.get_ref().as_table()
+    }
+
+    /// Whether a table or list of this name is written.
+    fn has(&self, name: &str) -> bool {
+        self.table
+            .as_ref()
+            .is_some_and(|table| table.get_ref().contains_key(name))
+    }
+
+    /// The line of the first of these values of a table, or else of the table.
+    fn of(&self, table: &str, keys: &[&str]) -> Option<usize> {
+        let key = self.table(table).and_then(|values| key_line(self, values, keys));
+        let header = || self.table.as_ref()?.get_ref().get_key_value(table);
+        key.or_else(|| header().map(|(name, _)| self.line(name.span().start)))
+    }
+
+    /// The line of the first of these values of an axis, from 0, or of the value that the axes share, or of the axis.
+    fn of_axis(&self, axis: usize, keys: &[&str]) -> Option<usize> {
+        let axes = self.table.as_ref()?.get_ref().get("axes");
+        let written = axes.and_then(|axes| axes.get_ref().as_array()?.get(axis));
+        let own = written.and_then(|written| key_line(self, written.get_ref().as_table()?, keys));
+        own.or_else(|| key_line(self, self.table("axis_defaults")?, keys))
+            .or_else(|| written.map(|written| self.line(written.span().start)))
+    }
+
+    /// The line of a named input or output, from 0.
+    fn of_io(&self, io: u8) -> Option<usize> {
+        self.of_entry("io", io)
+    }
+
+    /// The line of an entry of a list of tables, from 0.
+    fn of_entry(&self, list: &str, entry: u8) -> Option<usize> {
+        let entries = self.table.as_ref()?.get_ref().get(list)?.get_ref().as_array()?;
+        entries
+            .get(usize::from(entry))
+            .map(|entry| self.line(entry.span().start))
+    }
+}
+
+fn key_line(places: &Places<'_>, table: &DeTable<'_>, keys: &[&str]) -> Option<usize> {
+    let written = keys.iter().find_map(|key| table.get_key_value(*key));
+    written.map(|(key, _): (&Spanned<_>, &Spanned<DeValue<'_>>)| places.line(key.span().start))
+}
+
+/// Why a text is no valid configuration: its first error, with its line.
+#[must_use]
+pub fn first_error(text: &str) -> Option<Finding> {
+    let mut findings = errors(text).1;
+    (!findings.is_empty()).then(|| findings.swap_remove(0))
+}
+
+/// The configuration of a text, as far as it can be read, and the errors that every command reports.
+fn errors(text: &str) -> (Option<Config>, Vec<Finding>) {
+    let error = |line, text: String| Finding {
+        gravity: Gravity::Error,
+        line,
+        text,
+    };
+    let config = match reading::configuration(text) {
+        Ok(config) => config,
+        Err(ReadingError::Machine { line, text }) => return (None, vec![error(Some(line), text)]),
+        Err(ReadingError::Toml(cause)) => {
+            // The text of such an error shows its line already.
+            return (None, vec![error(None, shortened(&cause).trim_end().to_owned())]);
+        }
+    };
+    let places = Places::new(text);
+    let mut found = Vec::new();
+    if let Err(cause) = config.check() {
+        found.push(error(bounds_line(&places, &cause), bounds_text(&config, &cause)));
+    }
+    if let Err(cause) = config.check_io() {
+        found.push(error(
+            io_line(&places, &cause),
+            format!("{}; correct it", text::io_error(&cause)),
+        ));
+    }
+    (Some(config), found)
+}
+
+/// The line of a value outside its bounds.
+fn bounds_line(places: &Places<'_>, cause: &ConfigError) -> Option<usize> {
+    let name = cause.field.name();
+    let (table, key) = name.split_once('.')?;
+    let key = key.split('[').next().unwrap_or(key);
+    match cause.field.axis {
+        Some(axis) => {
+            let (written, _) = crate::axes::as_written(cause.field.kind, axis.into(), key).unwrap_or((key, 1.0));
+            places.of_axis(axis.into(), &[written, key])
+        }
+        None if name == "bus.drives" => places.of_axis(0, &[]).or_else(|| places.of("bus", &["drives"])),
+        None => {
+            let in_units = key.trim_end_matches("_rad_s2").trim_end_matches("_rad_s");
+            places.of(table, &[in_units, key])
+        }
+    }
+}
+
+/// A value outside its bounds, and what to write.
+fn bounds_text(config: &Config, cause: &ConfigError) -> String {
+    if cause.field.name() == "bus.drives" {
+        return format!(
+            "a {} has {} to {} axes, and there are {}; write one [[axes]] for each drive{}",
+            config.geometry.kind().name(),
+            cause.low,
+            cause.high,
+            cause.value,
+            match config.geometry.kind() {
+                kind if kind.has_height_axis() && cause.value < MAIN_AXES as f64 =>
+                    ", or let an output lower the pen: kind = \"output\" in [pen]",
+                _ => "",
+            }
+        );
+    }
+    text::config_error(cause)
+}
+
+fn io_line(places: &Places<'_>, cause: &IoError) -> Option<usize> {
+    match *cause {
+        IoError::SameName { second, .. } | IoError::SameOutput { second, .. } => places.of_io(second),
+        IoError::Name { io }
+        | IoError::Slave { io, .. }
+        | IoError::Place { io }
+        | IoError::Bit { io, .. }
+        | IoError::Role { io, .. } => places.of_io(io),
+        IoError::HomeSwitch { axis } => places.of_axis(axis.into(), &["home"]),
+        IoError::TerminalSlave { terminal, .. } | IoError::DeviceOfAxis { terminal, .. } => {
+            places.of_entry("terminals", terminal)
+        }
+        IoError::SameTerminal { second, .. } | IoError::SameDevice { second, .. } => {
+            places.of_entry("terminals", second)
+        }
+    }
+}
+
+/// All findings about a configuration file's text, errors first.
+#[must_use]
+pub fn check(text: &str) -> Vec<Finding> {
+    let (config, mut found) = errors(text);
+    let Some(config) = config else { return found };
+    let checks = Checks {
+        places: Places::new(text),
+        config: &config,
+    };
+    if found.is_empty() {
+        match Kinematics::new(&config.geometry) {
+            Err(cause) => found.push(checks.geometry(&cause)),
+            Ok(_) => checks.reach(&mut found),
+        }
+        checks.pen(&mut found);
+        checks.axes(&mut found);
+    }
+    checks.missing(&mut found);
+    found.sort_by_key(|finding| finding.gravity == Gravity::Warning);
+    found
+}
+
+struct Checks<'a> {
+    places: Places<'a>,
+    config: &'a Config,
+}
+
+impl Checks<'_> {
+    fn geometry(&self, cause: &GeometryError) -> Finding {
+        Finding {
+            gravity: Gravity::Error,
+            line: self.places.of("geometry", &[]),
+            text: format!("the dimensions do not form a valid machine: {cause}; correct [geometry]"),
+        }
+    }
+
+    /// Whether the machine reaches its sheet and its work area.
+    fn reach(&self, found: &mut Vec<Finding>) {
+        let Ok(area) = WorkArea::new(&self.config.motion_settings()) else {
+            return;
+        };
+        let paper = &self.config.paper;
+        let ([x, y], [width, height]) = (paper.centre_mm, paper.size_mm);
+        let lifted_mm = paper.pen_down_z_mm + paper.pen_lift_mm;
+        let corners = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5), (0.0, 0.0)];
+        let heights = [paper.pen_down_z_mm, lifted_mm];
+        let places = heights.iter().flat_map(|z_mm| corners.map(|corner| (corner, *z_mm)));
+        for ((across, along), z_mm) in places {
+            let position = Position {
+                x_mm: x + across * width,
+                y_mm: y + along * height,
+                z_mm,
+            };
+            if let Err(why) = area.check(&position) {
+                let what = if z_mm == lifted_mm { " with the pen lifted" } else { "" };
+                found.push(Finding {
+                    gravity: Gravity::Error,
+                    line: self.places.of("paper", &["centre_mm", "size_mm"]),
+                    text: format!(
+                        "the machine does not reach x {:.1}, y {:.1}, z {:.1} mm of its sheet{what}: {}; move or shrink \
+                         [paper], or correct [work_area] and [geometry]",
+                        position.x_mm,
+                        position.y_mm,
+                        position.z_mm,
+                        text::outside(&why)
+                    ),
+                });
+                return;
+            }
+        }
+        let volume = &self.config.work_area;
+        let [[left, right], [front, back]] = [volume.x_mm, volume.y_mm];
+        let is_box = [-left, right, -front, back].iter().all(|edge| *edge < volume.radius_mm);
+        self.box_reach(&area, is_box, found);
+    }
+
+    /// Whether the corners of a rectangular work area are reached.
+    fn box_reach(&self, area: &WorkArea, is_box: bool, found: &mut Vec<Finding>) {
+        let volume = &self.config.work_area;
+        let corners = volume.x_mm.into_iter().flat_map(|x| volume.y_mm.map(|y| (x, y)));
+        let heights = [volume.z_low_mm, volume.z_high_mm];
+        let corners = corners.flat_map(|(x_mm, y_mm)| heights.map(|z_mm| Position { x_mm, y_mm, z_mm }));
+        for position in corners.filter(|_| is_box) {
+            // The pen may not go deeper than the sheet allows; that is no question of reach.
+            let settings = self.config.motion_settings();
+            let lowest_mm = settings.paper.pen_down_z_mm - settings.paper.pressing_depth_mm;
+            let position = Position {
+                z_mm: position.z_mm.max(lowest_mm),
+                ..position
+            };
+            if let Err(why) = area.check(&position) {
+                found.push(Finding {
+                    gravity: Gravity::Warning,
+                    line: self.places.of("work_area", &["x_mm", "y_mm"]),
+                    text: format!(
+                        "the machine does not reach the corner x {:.1}, y {:.1}, z {:.1} mm of its work area: {}; make \
+                         [work_area] smaller",
+                        position.x_mm,
+                        position.y_mm,
+                        position.z_mm,
+                        text::outside(&why)
+                    ),
+                });
+                return;
+            }
+        }
+    }
+
+    /// Whether something lowers the pen.
+    fn pen(&self, found: &mut Vec<Finding>) {
+        let has_output = self.config.io.iter().any(|point| point.role == IoRole::Pen);
+        if self.config.pen.kind == PenLiftKind::Output && !has_output {
+            found.push(Finding {
+                gravity: Gravity::Error,
+                line: self.places.of("pen", &["kind"]),
+                text: "an output lowers the pen, and no output does: write an [[io]] with direction = \"out\" and \
+                       role = \"pen\", or kind = \"axis\" in [pen]"
+                    .into(),
+            });
+        }
+    }
+
+    fn axes(&self, found: &mut Vec<Finding>) {
+        for axis in axes(self.config) {
+            self.axis(&axis, found);
+        }
+    }
+
+    /// What is unlikely about an axis.
+    fn axis(&self, axis: &AxisView, found: &mut Vec<Finding>) {
+        let (motion, settings) = (&self.config.motion, self.config.axes.get(axis.index));
+        let Some(settings) = settings else { return };
+        let [speed_rad_s, acceleration_rad_s2] = [
+            motion.joint_speed_rad_s.get(axis.index).copied().unwrap_or(0.0),
+            motion.joint_acceleration_rad_s2.get(axis.index).copied().unwrap_or(0.0),
+        ];
+        let (number, factor) = (axis.index + 1, axis.motion.factor());
+        let (speed_unit, acceleration_unit) = (
+            axis.motion.unit(Quantity::Speed),
+            axis.motion.unit(Quantity::Acceleration),
+        );
+        let mut warn = |line, text| {
+            found.push(Finding {
+                gravity: Gravity::Warning,
+                line,
+                text,
+            });
+        };
+        if settings.output_max_rad_s < speed_rad_s {
+            let key = if axis.motion == Motion::Linear {
+                "output_max_mm_s"
+            } else {
+                "output_max_rad_s"
+            };
+            warn(
+                self.places.of_axis(axis.index, &[key]),
+                format!(
+                    "axis {number} ({}) may be planned with {} {speed_unit}, and its command ends at {} {speed_unit}: a fast \
+                     motion ends with a fault; make {key} greater, or joint_speed smaller",
+                    axis.name,
+                    round(speed_rad_s * factor),
+                    round(settings.output_max_rad_s * factor)
+                ),
+            );
+        }
+        let motor_rpm = speed_rad_s * settings.gear.abs() * 60.0 / TAU;
+        if motor_rpm > MOTOR_MAX_RPM {
+            warn(
+                self.places.of("motion", &["joint_speed", "joint_speed_rad_s"]),
+                format!(
+                    "at its highest speed the motor of axis {number} ({}) turns at {motor_rpm:.0} revolutions a minute, more \
+                     than servo motors do; make joint_speed smaller, or correct gear and pitch",
+                    axis.name
+                ),
+            );
+        }
+        if settings.quick_stop_rad_s2 < QUICK_STOP_MIN * acceleration_rad_s2 {
+            let key = if axis.motion == Motion::Linear {
+                "quick_stop_mm_s2"
+            } else {
+                "quick_stop_rad_s2"
+            };
+            warn(
+                self.places.of_axis(axis.index, &[key]),
+                format!(
+                    "the quick stop of axis {number} ({}) is {} {acceleration_unit}, far weaker than its acceleration of {} \
+                     {acceleration_unit}; make {key} greater",
+                    axis.name,
+                    round(settings.quick_stop_rad_s2 * factor),
+                    round(acceleration_rad_s2 * factor)
+                ),
+            );
+        }
+    }
+
+    /// What the file does not say, and is taken from the built-in machine.
+    fn missing(&self, found: &mut Vec<Finding>) {
+        for (table, what) in [
+            ("geometry", "the machine's dimensions"),
+            ("work_area", "where the pen may go"),
+            ("paper", "where the sheet lies"),
+            ("motion", "speeds and accelerations"),
+            ("axes", "the drives and their axes"),
+        ] {
+            let is_shared = table == "axes" && self.places.has("axis_defaults");
+            if !(self.places.has(table) || is_shared) {
+                let name = if table == "axes" {
+                    "[[axes]]"
+                } else {
+                    &format!("[{table}]")
+                };
+                found.push(Finding {
+                    gravity: Gravity::Warning,
+                    line: None,
+                    text: format!("{name} is missing: {what}; the built-in machine's values are used"),
+                });
+            }
+        }
+    }
+}
+
+/// A value without the remainder of a conversion.
+fn round(value: f64) -> f64 {
+    (value * 1.0e6).round() / 1.0e6
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::settings::machines::MACHINES;
+
+    const GANTRY: &str = include_str!("../../../samples/machines/gantry.toml");
+    const COREXY: &str = include_str!("../../../samples/machines/corexy.toml");
+    const SCARA: &str = include_str!("../../../samples/machines/scara.toml");
+
+    /// The only finding about a sample with a replaced part; its line is the one that has `at`.
+    fn finding(sample: &str, from: &str, to: &str, at: &str) -> Finding {
+        assert!(sample.contains(from), "{from}");
+        let text = sample.replacen(from, to, 1);
+        let findings = check(&text);
+        let [finding] = &findings[..] else {
+            panic!("{findings:#?}")
+        };
+        let line = text.lines().position(|line| line.contains(at)).map(|line| line + 1);
+        assert_eq!(finding.line, line, "{finding}");
+        finding.clone()
+    }
+
+    #[test]
+    fn nothing_is_found_in_the_bundled_machines() {
+        for machine in MACHINES {
+            assert_eq!(check(machine.text), [], "{}", machine.name);
+        }
+    }
+
+    #[test]
+    fn a_kind_with_the_wrong_number_of_axes_is_named() {
+        let two = GANTRY.replacen(
+            "[[axes]]                     # z: the pen\npitch_mm = 40.0\nsync_mm = -15.0\nmass_kg = 0.8\n",
+            "",
+            1,
+        );
+        let found = finding(&two, "A2", "A2", "[[axes]]");
+        assert_eq!(found.gravity, Gravity::Error);
+        assert!(
+            found.text.contains("a gantry has 3 to 4 axes, and there are 2"),
+            "{found}"
+        );
+        assert!(found.text.contains("[pen]"), "{found}");
+    }
+
+    #[test]
+    fn two_axes_on_one_drive_are_named() {
+        let one = SCARA.replacen("sync_angle_rad = -0.65", "sync_angle_rad = -0.65\nserial = 7", 1);
+        let found = finding(
+            &one,
+            "sync_angle_rad = 1.6",
+            "sync_angle_rad = 1.6\nserial  = 7",
+            "serial  = 7",
+        );
+        assert!(
+            found.text.contains("axis 2") && found.text.contains("same drive"),
+            "{found}"
+        );
+    }
+
+    #[test]
+    fn a_linear_axis_without_pitch_is_named() {
+        let found = finding(
+            GANTRY,
+            "pitch_mm = 40.0\nsync_mm = 240.0",
+            "sync_mm = 240.0",
+            "# y: the beam",
+        );
+        assert!(
+            found.text.contains("pitch_mm") && found.text.contains("missing"),
+            "{found}"
+        );
+    }
+
+    #[test]
+    fn a_sheet_and_a_work_area_outside_the_reach_are_named() {
+        let found = finding(
+            GANTRY,
+            "centre_mm = [320.0, 240.0]",
+            "centre_mm = [600.0, 240.0]",
+            "centre_mm",
+        );
+        assert_eq!(found.gravity, Gravity::Error);
+        assert!(
+            found.text.contains("x 700.0") && found.text.contains("[paper]"),
+            "{found}"
+        );
+        let found = finding(
+            GANTRY,
+            "x_mm = [10.0, 630.0]",
+            "x_mm = [10.0, 690.0]",
+            "x_mm = [10.0, 690.0]",
+        );
+        assert!(
+            found.text.contains("x 690.0") && found.text.contains("[work_area]"),
+            "{found}"
+        );
+        let found = finding(SCARA, "radius_mm = 385.0", "radius_mm = 405.0", "radius_mm = 405.0");
+        assert_eq!(found.gravity, Gravity::Error);
+        assert!(
+            found.text.contains("work_area.radius_mm is 405") && found.text.contains("to 400"),
+            "{found}"
+        );
+    }
+
+    #[test]
+    fn limits_of_zero_are_named_in_the_unit_of_the_axis() {
+        let found = finding(
+            GANTRY,
+            "output_max_mm_s = 1300.0",
+            "output_max_mm_s = 0.0",
+            "output_max_mm_s",
+        );
+        assert!(
+            found
+                .text
+                .starts_with("axes.output_max_mm_s of axis 1 is 0, allowed is 1 to "),
+            "{found}"
+        );
+        let found = finding(
+            GANTRY,
+            "joint_speed = [1000.0, 1000.0, 300.0]",
+            "joint_speed = [1000.0, 0.0, 300.0]",
+            "joint_speed",
+        );
+        assert!(
+            found.text.contains("motion.joint_speed") && found.text.contains("is 0"),
+            "{found}"
+        );
+        let found = finding(GANTRY, "speed_mm_s = 250.0", "speed_mm_s = 0.0", "speed_mm_s = 0.0");
+        assert!(found.text.contains("motion.speed_mm_s is 0"), "{found}");
+    }
+
+    #[test]
+    fn a_pen_without_its_output_is_named() {
+        let found = finding(COREXY, "role = \"pen\"", "role = \"none\"", "kind = \"output\"");
+        assert!(found.text.contains("role = \"pen\""), "{found}");
+    }
+
+    #[test]
+    fn unlikely_values_are_warnings() {
+        let found = check(&COREXY.replacen("quick_stop_mm_s2 = 12000.0", "quick_stop_mm_s2 = 2500.0", 1));
+        assert_eq!(found.len(), 2, "one for each belt: {found:#?}");
+        assert!(
+            found[0].gravity == Gravity::Warning && found[0].text.contains("2500 mm/s2"),
+            "{}",
+            found[0]
+        );
+    }
+
+    #[test]
+    fn motors_that_turn_too_fast_and_commands_that_end_too_early_are_warnings() {
+        let found = check(&COREXY.replacen("output_max_mm_s = 1500.0", "output_max_mm_s = 1000.0", 1));
+        assert_eq!(found.len(), 2, "{found:#?}");
+        assert!(
+            found[0].text.contains("1200 mm/s") && found[0].text.contains("1000 mm/s"),
+            "{}",
+            found[0]
+        );
+        let found = check(&COREXY.replacen("pitch_mm = 40.0", "pitch_mm = 5.0", 1));
+        assert!(found[0].text.contains("14400 revolutions"), "{found:#?}");
+    }
+
+    #[test]
+    fn what_is_missing_is_told_without_a_line() {
+        let found = check("[motion]\nspeed_mm_s = 100.0\n");
+        let names: Vec<_> = found.iter().map(|finding| &finding.text[..10]).collect();
+        assert_eq!(names, ["[geometry]", "[work_area", "[paper] is", "[[axes]] i"]);
+        assert!(check("[motion\n")[0].text.contains("line 1"));
+    }
+}
