@@ -22,16 +22,18 @@ pub enum Style {
     Flow,
     /// One line without many crossings, through points whose density follows the picture's darkness.
     Tsp,
+    /// Edges and dark lines, and tone by long lines side by side that bend with the form.
+    Engrave,
 }
 
 impl Style {
     /// The names of all styles.
-    pub const NAMES: [&'static str; 4] = ["sketch", "hatch", "flow", "tsp"];
+    pub const NAMES: [&'static str; 5] = ["sketch", "hatch", "flow", "tsp", "engrave"];
 
     /// The style with a name.
     #[must_use]
     pub fn from_name(name: &str) -> Option<Self> {
-        let styles = [Self::Sketch, Self::Hatch, Self::Flow, Self::Tsp];
+        let styles = [Self::Sketch, Self::Hatch, Self::Flow, Self::Tsp, Self::Engrave];
         let known = Self::NAMES.iter().position(|known| *known == name)?;
         styles.get(known).copied()
     }

@@ -5,9 +5,11 @@ use super::source::SourceArguments;
 use super::time_budget;
 use super::wire::as_sent;
 use crate::drawing::{
-    Artwork, Drawing, DrawingError, Input, Layer, LayerStroke, OrderOptions, Stroke, Travel, VectorizeOptions,
-    load_content, to_path, vectorize_image,
+    Artwork, Crop, Drawing, DrawingError, Input, Layer, LayerStroke, OrderOptions, Stroke, Subject, Travel, VectorizeOptions,
+    load_content, to_path, vectorize_subject,
 };
+use crate::drawing::photo::{SIDE_MIN, check_size};
+use crate::drawing::{FACE_PENS_MIN, FACE_PENS_WANTED};
 use crate::error::{ProgramError, code};
 use etherpen::config::Config;
 use etherpen::motion::{Pen, Vertex};
@@ -117,7 +119,7 @@ pub(crate) fn in_sequence(parts: &[(Layer, Drawing)]) -> Drawing {
 
 /// A photograph's strokes.
 pub(crate) struct FromPhotograph {
-    /// The rotated picture.
+    /// The part of the rotated picture that is drawn.
     pub(crate) picture: RgbImage,
     /// Its place on the sheet: left, top, width and height, mm.
     pub(crate) place_mm: [f64; 4],
@@ -141,6 +143,8 @@ pub(crate) fn from_photograph(
     };
     let source = options;
     let options = source.vectorize_options(config);
+    check_size(picture.width(), picture.height())?;
+    let (picture, subject) = part_of(picture, source.crop(), &options);
     let place_mm = options.picture_mm(picture.width(), picture.height())?;
     let timed = match source.time_budget_s() {
         None => None,
@@ -149,12 +153,12 @@ pub(crate) fn from_photograph(
                 pen_width_mm: widths * options.pen_width_mm,
                 ..options
             };
-            vectorize_image(&picture, &wider)
+            vectorize_subject(&picture, &subject, &wider)
         })?,
     };
     let (drawing, planned_s) = match timed {
         Some(timed) => (timed.drawing, Some(timed.planned_s)),
-        None => (vectorize_image(&picture, &options)?, None),
+        None => (vectorize_subject(&picture, &subject, &options)?, None),
     };
     Ok(FromPhotograph {
         picture,
@@ -162,6 +166,32 @@ pub(crate) fn from_photograph(
         drawing,
         planned_s,
     })
+}
+
+/// The part of a photograph that is drawn, and its subject; messages say what was chosen.
+fn part_of(picture: RgbImage, crop: Crop, options: &VectorizeOptions) -> (RgbImage, Subject) {
+    let subject = Subject::of(&picture, options.focus);
+    let room_mm = options.size_mm.unwrap_or(options.sheet_mm.map(|side| side - 2.0 * options.margin_mm));
+    let size_px = [picture.width(), picture.height()];
+    let (part, subject) = match subject.window(size_px, crop, room_mm, options.pen_width_mm) {
+        Some(window) if window[2].min(window[3]) >= SIDE_MIN => {
+            if crop == Crop::Auto {
+                let [left, top, width, height] = window;
+                eprintln!(
+                    "etherpen: draws the head, {left},{top},{width},{height}: in the whole picture the face would be small; --crop none draws everything"
+                );
+            }
+            subject.cut(&picture, window)
+        }
+        _ => (picture, subject),
+    };
+    let face_pens = subject.face_pens([part.width(), part.height()], room_mm, options.pen_width_mm);
+    if let Some(pens) = face_pens.filter(|&pens| pens < FACE_PENS_MIN) {
+        eprintln!(
+            "etherpen: the face is only {pens:.0} lines of the pen wide, {FACE_PENS_WANTED:.0} are needed for a likeness; --crop head draws it larger"
+        );
+    }
+    (part, subject)
 }
 
 /// Strokes on a sheet as artwork whose page is that sheet.
