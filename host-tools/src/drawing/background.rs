@@ -66,7 +66,9 @@ pub(super) fn subject_mask(picture: &RgbImage, faces: &[Face]) -> Option<Plane> 
     let small = resize(picture, side(width), side(height), FilterType::Triangle);
     let faces: Vec<Face> = faces.iter().map(|face| face.moved([0.0, 0.0], scale)).collect();
     let place = Plane::from_fn(small.width() as usize, small.height() as usize, |x, y| {
-        let odds = faces.iter().map(|face| odds_of_place(face.relative([x as f64, y as f64])));
+        let odds = faces
+            .iter()
+            .map(|face| odds_of_place(face.relative([x as f64, y as f64])));
         odds.fold(-PLACE_MAX, f32::max)
     });
     let radius = faces.iter().map(|face| face.radius).fold(0.0, f64::max);
@@ -112,16 +114,28 @@ fn judged_by_colour(picture: &RgbImage, place: &Plane) -> Option<Plane> {
             }
         }
         let [inside, outside] = counts.map(|counts| frequencies(&counts));
-        let odds: Vec<f32> = inside.iter().zip(&outside).map(|(a, b)| (a / b).ln().clamp(-COLOUR_MAX, COLOUR_MAX)).collect();
+        let odds: Vec<f32> = inside
+            .iter()
+            .zip(&outside)
+            .map(|(a, b)| (a / b).ln().clamp(-COLOUR_MAX, COLOUR_MAX))
+            .collect();
         let width = place.width();
         colour = Plane::from_fn(width, place.height(), |x, y| {
-            cells.get(y * width + x).and_then(|&cell| odds.get(cell)).copied().unwrap_or_default()
+            cells
+                .get(y * width + x)
+                .and_then(|&cell| odds.get(cell))
+                .copied()
+                .unwrap_or_default()
         })
         .blurred(1.2);
         judged = colour.zip(place, |colour, place| share(colour + place));
     }
     let mean_where = |keep: &dyn Fn(f32) -> bool| {
-        let chosen = colour.values().iter().zip(place.values()).filter(|(_, place)| keep(**place));
+        let chosen = colour
+            .values()
+            .iter()
+            .zip(place.values())
+            .filter(|(_, place)| keep(**place));
         let (sum, count) = chosen.fold((0.0, 0.0_f32), |(sum, count), (colour, _)| (sum + colour, count + 1.0));
         sum / count.max(1.0)
     };
@@ -131,7 +145,9 @@ fn judged_by_colour(picture: &RgbImage, place: &Plane) -> Option<Plane> {
 
 /// Cell of a colour in the histograms.
 fn cell(colour: [u8; 3]) -> usize {
-    colour.iter().fold(0, |cell, &value| cell * STEPS + usize::from(value) * STEPS / 256)
+    colour
+        .iter()
+        .fold(0, |cell, &value| cell * STEPS + usize::from(value) * STEPS / 256)
 }
 
 /// Frequencies of all cells, spread into the neighbouring ones.
@@ -141,7 +157,13 @@ fn frequencies(counts: &[f32]) -> Vec<f32> {
         let before = spread.clone();
         for (k, value) in spread.iter_mut().enumerate() {
             let digit = k / stride % STEPS;
-            let beside = |inside: bool, other: usize| if inside { before.get(other).copied().unwrap_or_default() } else { 0.0 };
+            let beside = |inside: bool, other: usize| {
+                if inside {
+                    before.get(other).copied().unwrap_or_default()
+                } else {
+                    0.0
+                }
+            };
             let both = beside(digit > 0, k.wrapping_sub(stride)) + beside(digit + 1 < STEPS, k + stride);
             *value = 0.6 * *value + 0.2 * both;
         }
@@ -157,10 +179,18 @@ fn guided(plane: &Plane, guide: &Plane, radius: usize) -> Plane {
     let (mean_guide, mean_plane) = (guide.averaged(radius), plane.averaged(radius));
     let both = guide.zip(plane, |a, b| a * b).averaged(radius);
     let square = guide.map(|value| value * value).averaged(radius);
-    let covariance = both.zip(&mean_guide.zip(&mean_plane, |a, b| a * b), |both, product| both - product);
-    let variance = square.zip(&mean_guide, |square, mean| (square - mean * mean).max(0.0) + NOISE * NOISE);
+    let covariance = both.zip(&mean_guide.zip(&mean_plane, |a, b| a * b), |both, product| {
+        both - product
+    });
+    let variance = square.zip(&mean_guide, |square, mean| {
+        (square - mean * mean).max(0.0) + NOISE * NOISE
+    });
     let slope = covariance.zip(&variance, |covariance, variance| covariance / variance);
-    let offset = mean_plane.zip(&slope.zip(&mean_guide, |slope, mean| slope * mean), |mean, part| mean - part);
+    let offset = mean_plane.zip(&slope.zip(&mean_guide, |slope, mean| slope * mean), |mean, part| {
+        mean - part
+    });
     let (slope, offset) = (slope.averaged(radius), offset.averaged(radius));
-    slope.zip(guide, |slope, value| slope * value).zip(&offset, |part, offset| part + offset)
+    slope
+        .zip(guide, |slope, value| slope * value)
+        .zip(&offset, |part, offset| part + offset)
 }

@@ -64,8 +64,12 @@ impl Flow {
     pub(crate) fn turned_to(&self, angle_rad: f32, weight: f32, share: &Plane) -> Self {
         let (sine, cosine) = (2.0 * angle_rad).sin_cos();
         Self {
-            cosine: self.cosine.zip(share, |own, share| own * (1.0 - share) + share * weight * cosine),
-            sine: self.sine.zip(share, |own, share| own * (1.0 - share) + share * weight * sine),
+            cosine: self
+                .cosine
+                .zip(share, |own, share| own * (1.0 - share) + share * weight * cosine),
+            sine: self
+                .sine
+                .zip(share, |own, share| own * (1.0 - share) + share * weight * sine),
         }
     }
 

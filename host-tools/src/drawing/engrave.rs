@@ -5,24 +5,29 @@
 //! in light shades, the lines between them only in darker ones. Thresholds have a hysteresis, so that a line neither
 //! breaks nor begins for a speck.
 
+use super::join::{self, Near};
 use super::line::{self, Point};
 use super::raster::Plane;
 
 /// Distance of the densest lines, in widths of the pen.
-const PITCH_PENS: f64 = 1.35;
+const PITCH_PENS: f64 = 1.5;
 /// Direction of the lines, radians.
 const ANGLE_RAD: f64 = -0.42;
 /// Lift of a line from black to white, in widths of the pen.
-const RELIEF_PENS: f64 = 22.0;
+const RELIEF_PENS: f64 = 12.0;
 /// Width over which the relief is smoothed, in widths of the pen.
 const RELIEF_SIGMA_PENS: f64 = 9.0;
 /// Ink at which the lines of each rank begin; a line's rank is the number of times two divides its number.
-const THRESHOLDS: [f32; 4] = [0.56, 0.30, 0.15, 0.075];
+const THRESHOLDS: [f32; 4] = [0.62, 0.32, 0.16, 0.08];
 /// Share of the threshold down to which a line goes on.
 const GOES_ON: f32 = 0.72;
 /// Shortest line and longest gap that is drawn over, in widths of the pen.
 const LENGTH_PENS: f64 = 7.0;
 const GAP_PENS: f64 = 2.5;
+
+/// Longest bridge between the ends of neighbouring lines, in distances of the densest lines, and the least ink below it.
+const BRIDGE_PITCHES: f64 = 3.0;
+const BRIDGE_INK: f32 = 0.2;
 
 /// Lines in pixels for the ink that the picture requires and its light; `density` is 1 for the darkest.
 pub(super) fn engrave(ink: &Plane, light: &Plane, pen: f64, density: f64) -> Vec<Vec<Point>> {
@@ -43,11 +48,18 @@ pub(super) fn engrave(ink: &Plane, light: &Plane, pen: f64, density: f64) -> Vec
         let mut missing = 0.0;
         for step in -(reach as i64)..=reach as i64 {
             let along = step as f64;
-            let flat = [middle[0] + along * cosine - across * sine, middle[1] + along * sine + across * cosine];
+            let flat = [
+                middle[0] + along * cosine - across * sine,
+                middle[1] + along * sine + across * cosine,
+            ];
             let lift = (f64::from(relief.sample(flat[0] as f32, flat[1] as f32)) - 0.5) * RELIEF_PENS * pen;
             let at = [flat[0] + lift * sine, flat[1] - lift * cosine];
             let inside = at[0] >= 0.0 && at[1] >= 0.0 && at[0] < width && at[1] < height;
-            let dark = if inside { calm.sample(at[0] as f32, at[1] as f32) } else { 0.0 };
+            let dark = if inside {
+                calm.sample(at[0] as f32, at[1] as f32)
+            } else {
+                0.0
+            };
             let limit = if run.is_empty() { threshold } else { GOES_ON * threshold };
             if inside && dark >= limit {
                 run.push(at);
@@ -62,7 +74,29 @@ pub(super) fn engrave(ink: &Plane, light: &Plane, pen: f64, density: f64) -> Vec
         }
         keep(&mut lines, &mut run, pen);
     }
-    lines
+    joined(lines, &calm, pitch)
+}
+
+/// Neighbouring lines joined at their ends where the picture is dark between them.
+fn joined(lines: Vec<Vec<Point>>, ink: &Plane, pitch: f64) -> Vec<Vec<Point>> {
+    let ends = join::ends(&lines);
+    if ends.is_empty() {
+        return lines;
+    }
+    let near = Near::of(&ends);
+    let mut bridges = Vec::new();
+    for (a, &from) in ends.iter().enumerate() {
+        near.visit_within(a, from, BRIDGE_PITCHES * pitch, |b| {
+            let Some(&to) = ends.get(b) else { return };
+            let away = line::distance(from, to);
+            let middle = line::between(from, to, 0.5);
+            let is_dark = ink.sample(middle[0] as f32, middle[1] as f32) >= BRIDGE_INK;
+            if a < b && a / 2 != b / 2 && away <= BRIDGE_PITCHES * pitch && is_dark {
+                bridges.push((away, a, b));
+            }
+        });
+    }
+    join::join_ends(&lines, bridges)
 }
 
 fn keep(lines: &mut Vec<Vec<Point>>, run: &mut Vec<Point>, pen: f64) {

@@ -54,7 +54,10 @@ impl Face {
         Self {
             centre: [x, y],
             radius,
-            eyes: [[x - 0.45 * radius, y - 0.25 * radius], [x + 0.45 * radius, y - 0.25 * radius]],
+            eyes: [
+                [x - 0.45 * radius, y - 0.25 * radius],
+                [x + 0.45 * radius, y - 0.25 * radius],
+            ],
             mouth: [x, y + 0.6 * radius],
             has_features: false,
         }
@@ -92,13 +95,19 @@ impl Face {
 
 /// All faces of a picture, the largest first.
 #[must_use]
-pub fn find_faces(picture: &RgbImage) -> Vec<Face> {
+pub(super) fn find_faces(picture: &RgbImage) -> Vec<Face> {
     let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
-    let scale = (SEARCHED_PX / width.min(height)).min(ENLARGED_MAX).min(SEARCHED_MAX_PX / width.max(height));
+    let scale = (SEARCHED_PX / width.min(height))
+        .min(ENLARGED_MAX)
+        .min(SEARCHED_MAX_PX / width.max(height));
     let side = |length: f64| (length * scale).round().max(20.0) as u32;
     let small = resize(picture, side(width), side(height), FilterType::Triangle);
     let light = grey(&small);
-    let bytes: Vec<u8> = light.values().iter().map(|value| (value * 255.0).round().clamp(0.0, 255.0) as u8).collect();
+    let bytes: Vec<u8> = light
+        .values()
+        .iter()
+        .map(|value| (value * 255.0).round().clamp(0.0, 255.0) as u8)
+        .collect();
     let Ok(model) = rustface::read_model(MODEL) else {
         return Vec::new();
     };
@@ -128,7 +137,9 @@ fn with_features(light: &Plane, corner: [f64; 2], side: f64) -> Face {
         let at = [x, y].map(|k| (k as f64 + 0.5) / BOX_PX * side);
         light.sample((corner[0] + at[0]) as f32, (corner[1] + at[1]) as f32)
     });
-    let blob = patch.blurred(10.0).zip(&patch.blurred(2.5), |around, here| around - here);
+    let blob = patch
+        .blurred(10.0)
+        .zip(&patch.blurred(2.5), |around, here| around - here);
     let eyes = [EYE_AT, [1.0 - EYE_AT[0], EYE_AT[1]]].map(|usual| best_place(&blob, usual, [0.09, 0.07]));
     let middle = 0.5 * (eyes[0][0] + eyes[1][0]);
     let rows = wide_rows(&patch);
@@ -136,7 +147,10 @@ fn with_features(light: &Plane, corner: [f64; 2], side: f64) -> Face {
     let place = |at: [f64; 2]| [0, 1].map(|k| corner[k] + at[k] * side);
     let between = [0, 1].map(|k| 0.5 * (eyes[0][k] + eyes[1][k]));
     Face {
-        centre: place([0.5 * between[0] + 0.5 * mouth[0], between[1] + 0.45 * (mouth[1] - between[1])]),
+        centre: place([
+            0.5 * between[0] + 0.5 * mouth[0],
+            between[1] + 0.45 * (mouth[1] - between[1]),
+        ]),
         radius: 0.47 * side,
         eyes: eyes.map(place),
         mouth: place(mouth),
@@ -167,4 +181,53 @@ fn best_place(answer: &Plane, usual: [f64; 2], spread: [f64; 2]) -> [f64; 2] {
         }
     }
     best
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::drawing::{Input, load};
+    use std::path::Path;
+
+    fn sample(name: &str) -> RgbImage {
+        let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../samples").join(name);
+        match load(path) {
+            Ok(Input::Photograph(picture)) => picture,
+            other => panic!("{name}: {other:?}"),
+        }
+    }
+
+    #[test]
+    fn the_face_of_a_portrait_is_found_with_its_eyes_and_mouth() {
+        let faces = find_faces(&sample("astronaut.png"));
+        let [face] = faces.as_slice() else { panic!("{faces:?}") };
+        let near = |place: [f64; 2], expected: [f64; 2]| (place[0] - expected[0]).hypot(place[1] - expected[1]) < 6.0;
+        assert!(
+            near(face.eyes[0], [203.0, 102.0]) && near(face.eyes[1], [246.0, 103.0]),
+            "{face:?}"
+        );
+        assert!(near(face.mouth, [225.0, 142.0]), "{face:?}");
+        assert!(face.has_features && (38.0..54.0).contains(&face.radius), "{face:?}");
+    }
+
+    #[test]
+    fn a_face_from_the_side_has_no_features() {
+        let faces = find_faces(&sample("camera.png"));
+        assert!(faces.len() == 1 && !faces[0].has_features, "{faces:?}");
+    }
+
+    #[test]
+    fn a_turned_or_enlarged_place_stays_the_same_relative_to_its_face() {
+        let face = Face::pointed_at([100.0, 50.0, 20.0]);
+        let moved = face.moved([40.0, 10.0], 3.0);
+        assert_eq!((moved.centre, moved.radius), ([180.0, 120.0], 60.0));
+        let [a, b] = [face.relative([110.0, 60.0]), moved.relative([210.0, 150.0])];
+        assert!((a[0] - b[0]).abs() < 1e-9 && (a[1] - b[1]).abs() < 1e-9 && (a[0] - 0.5).abs() < 1e-9);
+    }
+
+    #[test]
+    fn pictures_without_a_face_have_none() {
+        let plain = RgbImage::from_fn(120, 90, |x, y| image::Rgb([(x * 2) as u8, (y * 2) as u8, 90]));
+        assert_eq!(find_faces(&plain), []);
+    }
 }

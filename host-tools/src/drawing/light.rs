@@ -50,7 +50,11 @@ pub(super) fn exposed(light: &Plane, ovals: &Plane) -> Option<Plane> {
         Some(median) => (FACE_MEDIAN.ln() / median.clamp(0.02, 0.98).ln()).sqrt(),
         None => {
             let median = stretched.percentile(0.5).max(0.02);
-            if median < MEDIAN_MIN { MEDIAN_MIN.ln() / median.ln() } else { 1.0 }
+            if median < MEDIAN_MIN {
+                MEDIAN_MIN.ln() / median.ln()
+            } else {
+                1.0
+            }
         }
     };
     let exponent = exponent.clamp(EXPONENTS[0], EXPONENTS[1]);
@@ -66,7 +70,10 @@ pub(super) fn with_even_skin(light: &Plane, ovals: &Plane, radius: f64) -> Plane
     };
     let flat = light.zip(&wide, |value, wide| value + FLATTENED * (middle - wide));
     let skin = inside(&flat, ovals);
-    let (Some(dark), Some(white)) = (percentile(skin.clone(), SHADE_SHARE), percentile(skin, SKIN_WHITE_SHARE)) else {
+    let (Some(dark), Some(white)) = (
+        percentile(skin.clone(), SHADE_SHARE),
+        percentile(skin, SKIN_WHITE_SHARE),
+    ) else {
         return light.clone();
     };
     let stretch = (0.88 / (white - dark).max(0.05)).clamp(STRETCH[0], STRETCH[1]);
@@ -86,7 +93,10 @@ pub(super) fn darkness_in_faces(light: &Plane, ovals: &Plane) -> Plane {
 /// Values inside the ovals.
 fn inside(light: &Plane, ovals: &Plane) -> Vec<f32> {
     let pairs = light.values().iter().zip(ovals.values());
-    pairs.filter(|(_, cover)| **cover > 0.7).map(|(value, _)| *value).collect()
+    pairs
+        .filter(|(_, cover)| **cover > 0.7)
+        .map(|(value, _)| *value)
+        .collect()
 }
 
 fn percentile(mut values: Vec<f32>, fraction: f32) -> Option<f32> {

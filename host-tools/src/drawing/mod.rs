@@ -35,6 +35,7 @@ pub mod preparation;
 mod preview;
 mod raster;
 mod render;
+mod stipple;
 mod styles;
 mod subject;
 mod svg;

@@ -70,7 +70,12 @@ pub fn parse_focus(text: &str) -> Result<[f64; 3], String> {
 fn numbers<const N: usize>(text: &str) -> Option<[f64; N]> {
     let read: Option<Vec<f64>> = text
         .split(',')
-        .map(|part| part.trim().parse::<f64>().ok().filter(|value| value.is_finite() && *value >= 0.0))
+        .map(|part| {
+            part.trim()
+                .parse::<f64>()
+                .ok()
+                .filter(|value| value.is_finite() && *value >= 0.0)
+        })
         .collect();
     read?.try_into().ok()
 }
@@ -115,7 +120,10 @@ impl Subject {
             Crop::Auto => {
                 let face = self.faces.first()?;
                 let portrait = 2.0 * face.radius >= PORTRAIT_SHARE * size[0].min(size[1]);
-                let alone = self.faces.get(1).is_none_or(|next| face.radius >= PORTRAIT_RATIO * next.radius);
+                let alone = self
+                    .faces
+                    .get(1)
+                    .is_none_or(|next| face.radius >= PORTRAIT_RATIO * next.radius);
                 if !portrait || !alone || face_pens(face, size, room_mm, pen_mm) >= FACE_PENS_WANTED {
                     return None;
                 }
@@ -142,7 +150,12 @@ impl Subject {
         let size = [width, height].map(f64::from);
         let corner = [left, top].map(f64::from);
         let inside = |face: &Face| (0..2).all(|k| (0.0..=size[k]).contains(&face.centre[k]));
-        let faces: Vec<Face> = self.faces.iter().map(|face| face.moved(corner, 1.0)).filter(inside).collect();
+        let faces: Vec<Face> = self
+            .faces
+            .iter()
+            .map(|face| face.moved(corner, 1.0))
+            .filter(inside)
+            .collect();
         let mask = subject_mask(&part, &faces);
         (part, Self { faces, mask })
     }
@@ -151,7 +164,12 @@ impl Subject {
     fn heads(&self, faces: &[Face]) -> Option<[f64; 4]> {
         let around = faces.iter().map(|face| {
             let ([x, y], r) = (face.centre, face.radius);
-            [x - HEAD_SIDE * r, y - HEAD_ABOVE * r, x + HEAD_SIDE * r, y + HEAD_BELOW * r]
+            [
+                x - HEAD_SIDE * r,
+                y - HEAD_ABOVE * r,
+                x + HEAD_SIDE * r,
+                y + HEAD_BELOW * r,
+            ]
         });
         let all = around.reduce(|a, b| [a[0].min(b[0]), a[1].min(b[1]), a[2].max(b[2]), a[3].max(b[3])])?;
         let [left, top] = [all[0].max(0.0), all[1].max(0.0)];
@@ -180,4 +198,69 @@ impl Subject {
 fn face_pens(face: &Face, size: [f64; 2], room_mm: [f64; 2], pen_mm: f64) -> f64 {
     let scale = (room_mm[0] / size[0].max(1.0)).min(room_mm[1] / size[1].max(1.0));
     2.0 * face.radius * scale / pen_mm
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn subject(faces: &[[f64; 3]]) -> Subject {
+        Subject {
+            faces: faces.iter().map(|&face| Face::pointed_at(face)).collect(),
+            mask: None,
+        }
+    }
+
+    #[test]
+    fn parts_are_read_and_other_texts_refused() {
+        assert_eq!(Crop::parse("head"), Ok(Crop::Head));
+        assert_eq!(
+            Crop::parse("10, 20,300,400"),
+            Ok(Crop::Window([10.0, 20.0, 300.0, 400.0]))
+        );
+        for wrong in ["", "face", "1,2,3", "1,2,0,4", "1,2,3,nan", "1,2,3,4,5", "-1,0,5,5"] {
+            assert!(Crop::parse(wrong).is_err(), "{wrong}");
+        }
+        assert_eq!(parse_focus("5,6,7"), Ok([5.0, 6.0, 7.0]));
+        assert!(parse_focus("5,6,0").is_err() && parse_focus("5,6").is_err());
+    }
+
+    #[test]
+    fn a_portrait_with_a_small_face_is_cropped_until_the_face_is_large_enough() {
+        let portrait = subject(&[[256.0, 150.0, 50.0]]);
+        let window = portrait
+            .window([512, 512], Crop::Auto, [192.0, 192.0], 0.5)
+            .expect("a window");
+        let (_, part) = portrait.cut(&RgbImage::new(512, 512), window);
+        let pens = part
+            .face_pens([window[2], window[3]], [192.0, 192.0], 0.5)
+            .expect("a face");
+        assert!(pens >= FACE_PENS_WANTED, "{pens}");
+        assert_eq!(portrait.window([512, 512], Crop::None, [192.0, 192.0], 0.5), None);
+        // With a finer pen the whole picture shows the face well.
+        assert_eq!(portrait.window([512, 512], Crop::Auto, [192.0, 192.0], 0.2), None);
+    }
+
+    #[test]
+    fn a_scene_a_group_and_a_picture_without_a_face_stay_whole() {
+        for faces in [
+            &[[256.0, 150.0, 20.0]][..],
+            &[[150.0, 150.0, 50.0], [350.0, 150.0, 45.0]],
+            &[],
+        ] {
+            assert_eq!(
+                subject(faces).window([512, 512], Crop::Auto, [192.0, 192.0], 0.5),
+                None,
+                "{faces:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn a_window_beyond_the_picture_is_limited_to_it() {
+        let window = subject(&[]).window([100, 80], Crop::Window([60.0, 50.0, 500.0, 500.0]), [192.0, 192.0], 0.5);
+        assert_eq!(window, Some([60, 50, 40, 30]));
+        let heads = subject(&[[5.0, 5.0, 20.0]]).window([100, 80], Crop::Head, [192.0, 192.0], 0.5);
+        assert_eq!(heads.map(|window| [window[0], window[1]]), Some([0, 0]));
+    }
 }

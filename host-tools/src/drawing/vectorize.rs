@@ -75,6 +75,13 @@ impl Default for VectorizeOptions {
 }
 
 impl VectorizeOptions {
+    /// Largest width and height of a picture on the sheet, mm.
+    #[must_use]
+    pub fn room_mm(&self) -> [f64; 2] {
+        self.size_mm
+            .unwrap_or(self.sheet_mm.map(|side| side - 2.0 * self.margin_mm))
+    }
+
     /// Position of a picture of this size on the sheet: left, top, width and height, mm.
     ///
     /// # Errors

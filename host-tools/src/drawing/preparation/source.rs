@@ -1,8 +1,8 @@
 //! Options for the conversion of a file into strokes, shared by all commands that draw or show one.
 
 use crate::drawing::{
-    Background, Crop, FontFile, Placement, Style, TextFont, VectorizeOptions, parse_duration_s, parse_focus, parse_length_mm, parse_point_mm,
-    parse_size_mm,
+    Background, Crop, FontFile, Placement, Style, TextFont, VectorizeOptions, parse_duration_s, parse_focus,
+    parse_length_mm, parse_point_mm, parse_size_mm,
 };
 use etherpen::config::Config;
 use serde::{Deserialize, Serialize};
@@ -182,6 +182,23 @@ impl SourceArguments {
             background: Background::from_name(&self.background).unwrap_or_default(),
             focus: self.focus,
         }
+    }
+
+    /// These options with another style, crop and background of photographs.
+    #[must_use]
+    pub fn varied(&self, [style, crop, background]: [&str; 3]) -> Self {
+        Self {
+            style: style.to_owned(),
+            crop: crop.to_owned(),
+            background: background.to_owned(),
+            ..self.clone()
+        }
+    }
+
+    /// Style, crop and background of photographs.
+    #[must_use]
+    pub fn look(&self) -> [&str; 3] {
+        [&self.style, &self.crop, &self.background]
     }
 
     /// The part of a photograph that is drawn.

@@ -1,13 +1,13 @@
 //! Lines and tone as one drawing in each style, as dense as the time limit allows.
 
 use super::study::Study;
-use super::{DRAW_MM_S, Drawing, LIFT_S, Stroke, VectorizeOptions, estimate};
+use super::{DRAW_MM_S, Drawing, Stroke, VectorizeOptions, estimate};
 use crate::drawing::edges::{Edge, Flow};
 use crate::drawing::engrave::engrave;
 use crate::drawing::line::{self, Point};
 use crate::drawing::raster::Plane;
 use crate::drawing::render::draw_line;
-use crate::drawing::styles::one_line;
+use crate::drawing::stipple::one_line;
 use crate::drawing::tone::{ToneGoal, hatch, join_serpentines};
 use crate::drawing::{OrderOptions, order};
 
@@ -25,6 +25,8 @@ const KEPT_OFF: f32 = 2.0;
 const TONE_ROUNDS: usize = 3;
 /// Rounds of the other styles to meet the time limit.
 const FILL_ROUNDS: usize = 5;
+/// Additional points of the one line at features of a face, as a share.
+const FEATURE_GAIN: f32 = 1.2;
 /// Angle between the two layers of hatching, radians, and the ink at which the second one begins.
 const CROSS_ANGLE_RAD: f32 = 1.0;
 const CROSS_FROM: f32 = 0.42;
@@ -78,7 +80,11 @@ impl Study {
 
     /// One line through points.
     pub(super) fn one_line(&self, options: &VectorizeOptions) -> Drawing {
-        self.filled(&[], options, |density| one_line(&self.ink, self.pen, density, options.seed))
+        // Where eyes and mouth are, the line has no help from edges.
+        let ink = self.grain.zip(&self.features, |ink, feature| {
+            ink * (1.0 + FEATURE_GAIN * feature * ink)
+        });
+        self.filled(&[], options, |density| one_line(&ink, self.pen, density, options.seed))
     }
 
     /// Long lines side by side that bend with the form, and lines at eyes, nose and mouth.
@@ -140,7 +146,9 @@ impl Study {
         let wanted = self.ink.zip(&gains, |ink, gain| gain * ink);
         let bare = self.skin.zip(&self.features, |skin, feature| skin * (1.0 - feature));
         let drawn = drawn.zip(&bare, |drawn, bare| drawn * (1.0 + KEPT_OFF * bare));
-        wanted.zip(&drawn, |wanted, drawn| (wanted - drawn).clamp(0.0, COVERAGE_MAX)).blurred(0.6 * self.pen as f32)
+        wanted
+            .zip(&drawn, |wanted, drawn| (wanted - drawn).clamp(0.0, COVERAGE_MAX))
+            .blurred(0.6 * self.pen as f32)
     }
 
     fn hatching(&self, gain: f32, drawn: &Plane, options: &VectorizeOptions) -> Vec<Stroke> {

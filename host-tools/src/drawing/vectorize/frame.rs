@@ -21,13 +21,12 @@ impl Frame {
         let VectorizeOptions {
             sheet_mm,
             margin_mm,
-            size_mm,
             origin_mm,
             pen_width_mm,
             time_max_s,
             ..
         } = *options;
-        let room = size_mm.unwrap_or(sheet_mm.map(|side| side - 2.0 * margin_mm));
+        let room = options.room_mm();
         let numbers = [room[0], room[1], pen_width_mm, time_max_s];
         let usable = numbers.iter().all(|value| value.is_finite() && *value > 0.0);
         let margin_usable = margin_mm.is_finite() && margin_mm >= 0.0 && (0.0..=1.0).contains(&options.detail);

@@ -45,12 +45,12 @@ impl Study {
         let high = self.focus.zip(&texture, |face, busy| {
             STRENGTH - 0.015 * face + 0.8 * (1.0 - face) * busy
         });
-        let in_face = self.features.map(|feature| {
-            STRENGTH_ON_SKIN + (STRENGTH_AT_FEATURES - STRENGTH_ON_SKIN) * feature
-        });
-        let high = high.mixed(&in_face, &self.skin).zip(&self.kept, |high, kept| {
-            strictness * high / (kept * kept).max(KEPT_MIN)
-        });
+        let in_face = self
+            .features
+            .map(|feature| STRENGTH_ON_SKIN + (STRENGTH_AT_FEATURES - STRENGTH_ON_SKIN) * feature);
+        let high = high
+            .mixed(&in_face, &self.skin)
+            .zip(&self.kept, |high, kept| strictness * high / (kept * kept).max(KEPT_MIN));
         let traced = edges::trace_lines(&mixed, &flow, &high, 0.45);
         let joined = edges::join_by_direction(traced, 2.5 * self.pen);
         let mut lines: Vec<Edge> = joined.into_iter().filter_map(|edge| self.finished(edge)).collect();
@@ -73,12 +73,17 @@ impl Study {
             .map(|(value, _)| *value)
             .collect();
         inside.sort_by(f32::total_cmp);
-        let at = |share: f32| inside.get((share * inside.len().saturating_sub(1) as f32) as usize).copied();
+        let at = |share: f32| {
+            inside
+                .get((share * inside.len().saturating_sub(1) as f32) as usize)
+                .copied()
+        };
         let (Some(dark), Some(bright)) = (at(0.03), at(0.97)) else {
             return self.calm.clone();
         };
         let gain = (FACE_RANGE / (bright - dark).max(0.05)).clamp(1.0, FACE_GAIN_MAX);
-        self.calm.zip(&self.ovals, |value, oval| value * (1.0 + oval * (gain - 1.0)))
+        self.calm
+            .zip(&self.ovals, |value, oval| value * (1.0 + oval * (gain - 1.0)))
     }
 
     /// A line smoothed and weighted, if it is long enough for its place.

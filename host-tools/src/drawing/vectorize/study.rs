@@ -30,6 +30,8 @@ const PORTRAIT_RADIUS: f64 = 0.14;
 /// Lightness of hair and of sure skin, of the median in the face's oval.
 const SKIN_FROM: f32 = 0.45;
 const SKIN_SURE: f32 = 0.66;
+/// Exponent from darkness to points in a face.
+const GRAIN_POWER: f32 = 1.3;
 /// Ink of the darkest shade of skin.
 const SHADE_MAX: f32 = 0.62;
 /// Ink of a feature begins at this darkness, and is full after that much more.
@@ -57,6 +59,8 @@ pub(super) struct Study {
     pub(super) calm: Plane,
     /// Required ink at full strength, 0 to 1.
     pub(super) ink: Plane,
+    /// Required ink for points instead of lines, 0 to 1: with all shades and details of a face.
+    pub(super) grain: Plane,
     /// Directions of strokes.
     pub(super) hatch_flow: Flow,
 }
@@ -91,6 +95,8 @@ impl Study {
         let bare = skin.zip(&features, |skin, feature| skin * (1.0 - feature));
         let on_face = on_face(&light, &calm, &ovals, &features, radius);
         let ink = ink(&light, &calm, [&focus, &skin, &on_face], pen).zip(&kept, |ink, kept| ink * kept);
+        let dark = darkness_in_faces(&calm, &ovals).map(|dark| ((dark - 0.04) / 0.96).max(0.0).powf(GRAIN_POWER));
+        let grain = ink.mixed(&dark, &skin);
         let hatch_flow = Flow::of(&calm.blurred(sigma(1.0)), sigma(7.0), HATCH_ANGLE_RAD, 0.006).mixed(
             &Flow::of(&calm.blurred(sigma(0.6)), sigma(3.0), HATCH_ANGLE_RAD, 0.006),
             &focus,
@@ -107,6 +113,7 @@ impl Study {
             kept,
             calm,
             ink,
+            grain,
             hatch_flow,
         })
     }
@@ -151,7 +158,10 @@ fn on_face(light: &Plane, calm: &Plane, ovals: &Plane, features: &Plane, radius:
     if radius <= 0.0 {
         return features.clone();
     }
-    let smooth = denoised(&denoised(light, (0.10 * radius) as usize + 1), (0.05 * radius) as usize + 1);
+    let smooth = denoised(
+        &denoised(light, (0.10 * radius) as usize + 1),
+        (0.05 * radius) as usize + 1,
+    );
     let even = with_even_skin(&smooth.blurred((0.035 * radius) as f32), ovals, radius);
     let shade = even.map(|value| SHADE_MAX * ((1.0 - value - 0.06) / 0.94).max(0.0).powf(1.1));
     let dark = darkness_in_faces(calm, ovals).zip(features, |dark, feature| {

@@ -3,6 +3,7 @@
 use super::*;
 use crate::drawing::{render_rgb, tone_correlation};
 use image::Rgb;
+use image::imageops::{FilterType, resize};
 use std::sync::OnceLock;
 
 struct Sample {
@@ -55,7 +56,12 @@ fn a_tall_picture_is_compared_where_it_lies_on_the_sheet() {
 
 #[test]
 fn the_tone_of_a_drawing_follows_its_photograph() {
-    for Sample { name, picture, drawing } in samples() {
+    for Sample { name, picture, .. } in samples() {
+        let options = VectorizeOptions {
+            background: Background::Keep,
+            ..VectorizeOptions::default()
+        };
+        let drawing = vectorize_image(picture, &options).expect(name);
         let rendered = render_rgb(&drawing.strokes, drawing.sheet_mm, 0.5, 2.56);
         let tone = tone_correlation(picture, &rendered);
         assert!(tone > 0.85, "{name}: {tone}");
