@@ -122,7 +122,7 @@ fn write(picture: &mut RgbImage, [left, top]: [u32; 2], text: &str) {
         let Some(raster) = get_raster(letter, FontWeight::Regular, TEXT) else {
             continue;
         };
-        for (y, row) in (0..).zip(raster.raster()) {
+        for (y, row) in (0..).zip(raster.rows()) {
             for (x, &ink) in (0..).zip(row) {
                 if let Some(pixel) = picture.get_pixel_mut_checked(left + k * advance + x, top + y) {
                     *pixel = Rgb([255 - ink; 3]);
