@@ -7,7 +7,7 @@
 
 use super::face::Face;
 use super::raster::Plane;
-use super::render::grey;
+use super::render::{grey, reduced};
 use image::RgbImage;
 use image::imageops::{FilterType, resize};
 
@@ -63,7 +63,12 @@ pub(super) fn subject_mask(picture: &RgbImage, faces: &[Face]) -> Option<Plane> 
     let (width, height) = (f64::from(picture.width()), f64::from(picture.height()));
     let scale = (SIDE_PX / width.max(height)).min(1.0);
     let side = |length: f64| (length * scale).round().max(8.0) as u32;
-    let small = resize(picture, side(width), side(height), FilterType::Triangle);
+    let small = resize(
+        &*reduced(picture, 2 * SIDE_PX as u32),
+        side(width),
+        side(height),
+        FilterType::Triangle,
+    );
     let faces: Vec<Face> = faces.iter().map(|face| face.moved([0.0, 0.0], scale)).collect();
     let place = Plane::from_fn(small.width() as usize, small.height() as usize, |x, y| {
         let odds = faces

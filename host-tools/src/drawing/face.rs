@@ -6,7 +6,7 @@
 //! loaded at run time.
 
 use super::raster::Plane;
-use super::render::grey;
+use super::render::{grey, reduced};
 use image::RgbImage;
 use image::imageops::{FilterType, resize};
 use rustface::ImageData;
@@ -101,7 +101,12 @@ pub(super) fn find_faces(picture: &RgbImage) -> Vec<Face> {
         .min(ENLARGED_MAX)
         .min(SEARCHED_MAX_PX / width.max(height));
     let side = |length: f64| (length * scale).round().max(20.0) as u32;
-    let small = resize(picture, side(width), side(height), FilterType::Triangle);
+    let small = resize(
+        &*reduced(picture, 2 * side(width.max(height))),
+        side(width),
+        side(height),
+        FilterType::Triangle,
+    );
     let light = grey(&small);
     let bytes: Vec<u8> = light
         .values()

@@ -17,6 +17,10 @@ const FACE_MEDIAN: f32 = 0.6;
 const MEDIAN_MIN: f32 = 0.25;
 /// Range of the exponents that brighten or darken.
 const EXPONENTS: [f32; 2] = [0.5, 1.15];
+/// Ends of a face's oval above its centre, at the chin, and at the neck, in face radii.
+const ABOVE: f64 = 1.22;
+pub(super) const TO_CHIN: f64 = 1.22;
+pub(super) const TO_NECK: f64 = 1.75;
 /// Shares of the pixels of a face that become its darkest shade and white.
 const SHADE_SHARE: f32 = 0.03;
 const SKIN_WHITE_SHARE: f32 = 0.8;
@@ -26,13 +30,15 @@ const WIDE_RADII: f64 = 0.6;
 /// Least and largest stretch of a face's range.
 const STRETCH: [f32; 2] = [0.8, 1.7];
 
-/// How much each pixel belongs to the ovals of these faces, 0 to 1.
-pub(super) fn ovals(width: usize, height: usize, faces: &[Face]) -> Plane {
+/// How much each pixel belongs to the ovals of these faces, 0 to 1; `below` is the oval's lower end, in face radii from
+/// the face's centre.
+pub(super) fn ovals(width: usize, height: usize, faces: &[Face], below: f64) -> Plane {
     Plane::from_fn(width, height, |x, y| {
         let cover = faces.iter().filter(|face| face.has_features).map(|face| {
             let [across, down] = face.relative([x as f64, y as f64]);
-            let away = across.hypot((down - 0.02) / 1.22) as f32;
-            1.0 / (1.0 + (away / 1.0).powi(10))
+            let end = if down > 0.0 { below } else { ABOVE };
+            let away = across.hypot(down / end) as f32;
+            1.0 / (1.0 + away.powi(10))
         });
         cover.fold(0.0, f32::max)
     })
@@ -61,7 +67,7 @@ pub(super) fn exposed(light: &Plane, ovals: &Plane) -> Option<Plane> {
     Some(stretched.map(|value| value.powf(exponent)))
 }
 
-/// The lightness with each face stretched to the range of its own skin; `radius` is that of the largest face, pixels.
+/// The lightness of skin, stretched to the range of the skin inside the ovals; `radius` is that of the largest face, pixels.
 pub(super) fn with_even_skin(light: &Plane, ovals: &Plane, radius: f64) -> Plane {
     // A cheek in the shadow stays a shade darker, not a beard.
     let wide = light.blurred((WIDE_RADII * radius) as f32);
@@ -77,8 +83,7 @@ pub(super) fn with_even_skin(light: &Plane, ovals: &Plane, radius: f64) -> Plane
         return light.clone();
     };
     let stretch = (0.88 / (white - dark).max(0.05)).clamp(STRETCH[0], STRETCH[1]);
-    let face = flat.map(|value| (0.96 + stretch * (value - white)).clamp(0.0, 1.0));
-    light.mixed(&face, ovals)
+    flat.map(|value| (0.96 + stretch * (value - white)).clamp(0.0, 1.0))
 }
 
 /// How dark each pixel is within the range of the face, 0 (light skin) to 1 (pupils); 0 without a face.

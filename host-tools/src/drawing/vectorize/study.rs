@@ -5,9 +5,9 @@ use crate::drawing::background::Background;
 use crate::drawing::edges::Flow;
 use crate::drawing::face::Face;
 use crate::drawing::focus::focus;
-use crate::drawing::light::{darkness_in_faces, exposed, ovals, with_even_skin};
+use crate::drawing::light::{TO_CHIN, TO_NECK, darkness_in_faces, exposed, ovals, with_even_skin};
 use crate::drawing::raster::Plane;
-use crate::drawing::render::grey;
+use crate::drawing::render::{grey, reduced};
 use crate::drawing::subject::Subject;
 use image::RgbImage;
 use image::imageops::{FilterType, resize};
@@ -72,11 +72,19 @@ impl Study {
         frame: Frame,
         options: &VectorizeOptions,
     ) -> Result<Self, DrawingError> {
-        let small = resize(picture, frame.work_px[0], frame.work_px[1], FilterType::CatmullRom);
+        // Means first: a filter over every pixel of a large photograph takes seconds.
+        let side_max = 2 * frame.work_px[0].max(frame.work_px[1]);
+        let small = resize(
+            &*reduced(picture, side_max),
+            frame.work_px[0],
+            frame.work_px[1],
+            FilterType::CatmullRom,
+        );
         let scale = f64::from(small.width()) / f64::from(picture.width().max(1));
         let faces: Vec<Face> = subject.faces.iter().map(|face| face.moved([0.0, 0.0], scale)).collect();
         let (width, height) = (small.width() as usize, small.height() as usize);
-        let ovals = ovals(width, height, &faces);
+        let oval_to = |below: f64| ovals(width, height, &faces, below);
+        let (ovals, with_neck) = (oval_to(TO_CHIN), oval_to(TO_NECK));
         let light = exposed(&grey(&small), &ovals).ok_or(DrawingError::Blank)?;
         let pen = options.pen_width_mm / frame.mm_per_px;
         let sigma = |pens: f64| (pens * pen) as f32;
@@ -91,7 +99,7 @@ impl Study {
         let kept = kept(subject, &faces, [width, height], options.background).zip(&ovals, f32::max);
         let features = features(width, height, &faces);
         let radius = faces.first().map_or(0.0, |face| face.radius);
-        let skin = skin(&calm, &ovals, radius);
+        let skin = skin(&calm, &ovals, &with_neck, radius);
         let bare = skin.zip(&features, |skin, feature| skin * (1.0 - feature));
         let on_face = on_face(&light, &calm, &ovals, &features, radius);
         let ink = ink(&light, &calm, [&focus, &skin, &on_face], pen).zip(&kept, |ink, kept| ink * kept);
@@ -135,7 +143,7 @@ fn ink(light: &Plane, calm: &Plane, [focus, skin, on_face]: [&Plane; 3], pen: f6
 }
 
 /// How much each pixel belongs to the skin of a face or to a feature in it, not to hair: 0 to 1.
-fn skin(calm: &Plane, ovals: &Plane, radius: f64) -> Plane {
+fn skin(calm: &Plane, ovals: &Plane, with_neck: &Plane, radius: f64) -> Plane {
     let mut inside: Vec<f32> = (calm.values().iter().zip(ovals.values()))
         .filter(|(_, oval)| **oval > 0.7)
         .map(|(value, _)| *value)
@@ -147,7 +155,7 @@ fn skin(calm: &Plane, ovals: &Plane, radius: f64) -> Plane {
     let median = *inside.select_nth_unstable_by(middle, f32::total_cmp).1;
     // Wider than an eye, narrower than hair.
     let wide = calm.blurred((0.16 * radius) as f32);
-    ovals.zip(&wide, |oval, value| {
+    with_neck.zip(&wide, |oval, value| {
         let share = (value / median.max(0.05) - SKIN_FROM) / (SKIN_SURE - SKIN_FROM);
         oval * share.clamp(0.0, 1.0)
     })
