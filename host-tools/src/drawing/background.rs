@@ -54,6 +54,12 @@ impl Background {
     }
 }
 
+/// Whether the largest of these faces is the subject of a picture of this size, pixels.
+pub(super) fn is_portrait(faces: &[Face], [width, height]: [usize; 2]) -> bool {
+    let radius = faces.iter().map(|face| face.radius).fold(0.0, f64::max);
+    radius >= PORTRAIT_RADIUS * width.min(height) as f64
+}
+
 /// How much each pixel of a small copy of the picture belongs to a subject with these faces, 0 to 1; `None` without a
 /// face, or if neither colours nor the face's size tell the subject from the scene around it.
 pub(super) fn subject_mask(picture: &RgbImage, faces: &[Face]) -> Option<Plane> {
@@ -77,10 +83,9 @@ pub(super) fn subject_mask(picture: &RgbImage, faces: &[Face]) -> Option<Plane> 
         odds.fold(-PLACE_MAX, f32::max)
     });
     let radius = faces.iter().map(|face| face.radius).fold(0.0, f64::max);
-    let is_portrait = radius >= PORTRAIT_RADIUS * f64::from(small.width().min(small.height()));
     let judged = match judged_by_colour(&small, &place) {
         Some(judged) => judged,
-        None if is_portrait => place.map(share),
+        None if is_portrait(&faces, [small.width() as usize, small.height() as usize]) => place.map(share),
         None => return None,
     };
     let guide = grey(&small);
@@ -198,4 +203,64 @@ fn guided(plane: &Plane, guide: &Plane, radius: usize) -> Plane {
     slope
         .zip(guide, |slope, value| slope * value)
         .zip(&offset, |part, offset| part + offset)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use image::Rgb;
+
+    /// A head with shoulders before a wall, and its face.
+    fn portrait(skin: [u8; 3], coat: [u8; 3], wall: [u8; 3]) -> (RgbImage, Face) {
+        let picture = RgbImage::from_fn(300, 300, |x, y| {
+            let (across, down) = ((f64::from(x) - 150.0) / 40.0, (f64::from(y) - 110.0) / 40.0);
+            let noise = (x * 7 + y * 13) % 9;
+            let colour = if across.hypot((down + 0.2) / 1.4) < 1.15 {
+                skin
+            } else if down > 1.3 && across.abs() < 0.9 + 1.1 * (down - 1.3) {
+                coat
+            } else {
+                wall
+            };
+            Rgb(colour.map(|value| value.saturating_add(noise as u8)))
+        });
+        (picture, Face::pointed_at([150.0, 110.0, 40.0]))
+    }
+
+    fn at(mask: &Plane, x: isize, y: isize) -> f32 {
+        mask.at(x, y)
+    }
+
+    #[test]
+    fn subject_and_background_are_separated_by_their_colours() {
+        let (picture, face) = portrait([200, 160, 140], [60, 30, 30], [90, 120, 190]);
+        let mask = subject_mask(&picture, &[face]).expect("a mask");
+        for (x, y) in [(150, 110), (150, 280), (100, 260), (150, 60)] {
+            assert!(at(&mask, x, y) > 0.8, "{x}, {y}: {}", at(&mask, x, y));
+        }
+        for (x, y) in [(20, 20), (280, 100), (70, 110), (20, 200)] {
+            assert!(at(&mask, x, y) < 0.2, "{x}, {y}: {}", at(&mask, x, y));
+        }
+    }
+
+    #[test]
+    fn where_colours_do_not_differ_the_edge_is_soft_and_whole() {
+        let (picture, face) = portrait([120; 3], [120; 3], [120; 3]);
+        let mask = subject_mask(&picture, &[face]).expect("a mask");
+        assert!(at(&mask, 150, 110) > 0.9 && at(&mask, 5, 5) < 0.2);
+        for y in 0..300 {
+            for x in 1..300 {
+                let step = (at(&mask, x, y) - at(&mask, x - 1, y)).abs();
+                assert!(step < 0.2, "{x}, {y}: {step}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_picture_without_a_face_and_a_scene_of_one_colour_have_no_subject() {
+        let (picture, face) = portrait([120; 3], [120; 3], [120; 3]);
+        assert!(subject_mask(&picture, &[]).is_none());
+        let small = Face { radius: 10.0, ..face };
+        assert!(subject_mask(&picture, &[small]).is_none());
+    }
 }

@@ -105,3 +105,47 @@ fn keep(lines: &mut Vec<Vec<Point>>, run: &mut Vec<Point>, pen: f64) {
         lines.push(run);
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn darker_ink_has_more_lines_and_light_stays_white() {
+        let light = Plane::filled(300, 300, 0.5);
+        let length = |level: f32| {
+            let ink = Plane::from_fn(300, 300, |x, _| if x < 150 { level } else { 0.0 });
+            let lines = engrave(&ink, &light, 2.0, 1.0);
+            assert!(lines.iter().flatten().all(|point| point[0] < 154.0));
+            lines.iter().map(|points| line::length(points)).sum::<f64>()
+        };
+        let lengths = [0.02, 0.1, 0.2, 0.4, 0.8].map(length);
+        assert_eq!(lengths[0], 0.0);
+        assert!(lengths.windows(2).all(|pair| pair[1] > 1.5 * pair[0]), "{lengths:?}");
+    }
+
+    #[test]
+    fn lines_bend_with_the_light() {
+        let ink = Plane::filled(300, 300, 0.4);
+        let bump = Plane::from_fn(300, 300, |x, y| {
+            let away = (x as f32 - 150.0).hypot(y as f32 - 150.0) / 50.0;
+            (-away * away).exp()
+        });
+        let bend = |light: &Plane| {
+            let lines = engrave(&ink, light, 2.0, 1.0);
+            let off = |points: &Vec<Point>| match (points.first(), points.last()) {
+                (Some(&a), Some(&b)) => points
+                    .iter()
+                    .map(|&p| line::distance_to_segment(p, a, b))
+                    .fold(0.0, f64::max),
+                _ => 0.0,
+            };
+            lines
+                .iter()
+                .filter(|points| line::length(points) < 400.0)
+                .map(off)
+                .fold(0.0, f64::max)
+        };
+        assert!(bend(&bump) > bend(&Plane::filled(300, 300, 0.5)) + 4.0);
+    }
+}

@@ -1,7 +1,7 @@
 //! Analysis of a photograph before it is drawn: light, faces, background, directions, required ink.
 
 use super::{DrawingError, Frame, VectorizeOptions};
-use crate::drawing::background::Background;
+use crate::drawing::background::{Background, is_portrait};
 use crate::drawing::edges::Flow;
 use crate::drawing::face::Face;
 use crate::drawing::focus::focus;
@@ -20,13 +20,8 @@ const FACE_ANGLE_WEIGHT: f32 = 0.2;
 /// in face radii from the nearest face.
 const FADE_FROM: f64 = 1.3;
 const FADE_OVER: f64 = 0.9;
-/// Least distance over which it fades, as a share of the picture's shorter side: a small face stands in a scene.
-const FADE_OVER_SIDE: f64 = 0.22;
-/// Background beside the subject of a portrait, and of a scene.
+/// Background beside the subject of a portrait.
 const FADE_SHARE: f32 = 0.3;
-const FADE_SHARE_IN_SCENE: f32 = 0.85;
-/// Radius of a face in a portrait, as a share of the picture's shorter side; half of it is a face in a scene.
-const PORTRAIT_RADIUS: f64 = 0.14;
 /// Lightness of hair and of sure skin, of the median in the face's oval.
 const SKIN_FROM: f32 = 0.45;
 const SKIN_SURE: f32 = 0.66;
@@ -211,16 +206,16 @@ fn features(width: usize, height: usize, faces: &[Face]) -> Plane {
     })
 }
 
-/// Share of what is drawn that the background leaves.
+/// Share of what is drawn that the background leaves. A scene around a small face does not fade: it is the picture.
 fn kept(subject: &Subject, faces: &[Face], [width, height]: [usize; 2], background: Background) -> Plane {
-    let Some(mask) = subject.mask.as_ref().filter(|_| background != Background::Keep) else {
+    let is_whole = match background {
+        Background::Keep => true,
+        Background::Fade => !is_portrait(faces, [width, height]),
+        Background::None => false,
+    };
+    let Some(mask) = subject.mask.as_ref().filter(|_| !is_whole) else {
         return Plane::filled(width, height, 1.0);
     };
-    let shorter = width.min(height) as f64;
-    let radius = faces.first().map_or(1.0, |face| face.radius);
-    let portrait = (2.0 * radius / (PORTRAIT_RADIUS * shorter) - 1.0).clamp(0.0, 1.0) as f32;
-    let share = FADE_SHARE_IN_SCENE + (FADE_SHARE - FADE_SHARE_IN_SCENE) * portrait;
-    let over = FADE_OVER.max(FADE_OVER_SIDE * shorter / radius);
     let scale = [width, height].map(|side| side as f32);
     let scale = [mask.width() as f32 / scale[0], mask.height() as f32 / scale[1]];
     Plane::from_fn(width, height, |x, y| {
@@ -235,7 +230,7 @@ fn kept(subject: &Subject, faces: &[Face], [width, height]: [usize; 2], backgrou
             across.hypot(down)
         });
         let away = away.fold(f64::INFINITY, f64::min);
-        let outside = share * (-(away - FADE_FROM).max(0.0) / over).exp() as f32;
+        let outside = FADE_SHARE * (-(away - FADE_FROM).max(0.0) / FADE_OVER).exp() as f32;
         inside + (1.0 - inside) * outside
     })
 }
