@@ -20,6 +20,8 @@ const ENLARGED_MAX: f64 = 4.0;
 const SEARCHED_MAX_PX: f64 = 1_600.0;
 /// Smallest face, pixels of the picture that is searched.
 const FACE_MIN_PX: u32 = 40;
+/// Range of light, of 1, below which a picture is stretched.
+const RANGE_LOW: f32 = 0.5;
 /// Least score of a face.
 const SCORE_MIN: f64 = 2.0;
 /// Most faces that are kept, the largest first.
@@ -107,7 +109,7 @@ pub(super) fn find_faces(picture: &RgbImage) -> Vec<Face> {
         side(height),
         FilterType::Triangle,
     );
-    let light = grey(&small);
+    let light = with_contrast(&grey(&small));
     let bytes: Vec<u8> = light
         .values()
         .iter()
@@ -133,6 +135,15 @@ pub(super) fn find_faces(picture: &RgbImage) -> Vec<Face> {
     faces.sort_by(|a, b| b.radius.total_cmp(&a.radius));
     faces.truncate(FACES_MAX);
     faces.iter().map(|face| face.moved([0.0, 0.0], 1.0 / scale)).collect()
+}
+
+/// The light of a dark or flat picture, stretched: the detector has learned from well exposed ones.
+fn with_contrast(light: &Plane) -> Plane {
+    let (black, white) = (light.percentile(0.01), light.percentile(0.99));
+    if white - black > RANGE_LOW {
+        return light.clone();
+    }
+    light.map(|value| ((value - black) / (white - black).max(0.01)).clamp(0.0, 1.0))
 }
 
 /// The face in a box with this upper left corner and side.

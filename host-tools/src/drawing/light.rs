@@ -12,6 +12,9 @@ const BLACK_SHARE: f32 = 0.01;
 const WHITE_SHARE: f32 = 0.985;
 /// Least difference of black and white, of 1, for a picture that shows anything.
 const RANGE_MIN: f32 = 0.02;
+/// Median lightness of a dark face, of the range from black to white; white above its brightest skin, of the same range.
+const DARK_FACE: f32 = 0.33;
+const ABOVE_SKIN: f32 = 1.2;
 /// Median lightness that a face gets, and the least one of a picture without a face.
 const FACE_MEDIAN: f32 = 0.6;
 const MEDIAN_MIN: f32 = 0.25;
@@ -50,6 +53,7 @@ pub(super) fn exposed(light: &Plane, ovals: &Plane) -> Option<Plane> {
     if white - black < RANGE_MIN {
         return None;
     }
+    let white = white_of_dark_faces(light, ovals, black, white);
     let stretched = light.map(|value| ((value - black) / (white - black)).clamp(0.0, 1.0));
     let skin = inside(&stretched, ovals);
     let exponent = match percentile(skin, 0.5) {
@@ -65,6 +69,18 @@ pub(super) fn exposed(light: &Plane, ovals: &Plane) -> Option<Plane> {
     };
     let exponent = exponent.clamp(EXPONENTS[0], EXPONENTS[1]);
     Some(stretched.map(|value| value.powf(exponent)))
+}
+
+/// White for a picture whose faces are dark before a bright background, which may lose its shades.
+fn white_of_dark_faces(light: &Plane, ovals: &Plane, black: f32, white: f32) -> f32 {
+    let skin = inside(light, ovals);
+    let (Some(median), Some(bright)) = (percentile(skin.clone(), 0.5), percentile(skin, 0.97)) else {
+        return white;
+    };
+    if median - black > DARK_FACE * (white - black) {
+        return white;
+    }
+    (black + ABOVE_SKIN * (bright - black).max(RANGE_MIN)).min(white)
 }
 
 /// The lightness of skin, stretched to the range of the skin inside the ovals; `radius` is that of the largest face, pixels.
