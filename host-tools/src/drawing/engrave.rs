@@ -126,7 +126,7 @@ mod tests {
 
     #[test]
     fn lines_bend_with_the_light() {
-        let ink = Plane::filled(300, 300, 0.4);
+        let ink = Plane::filled(300, 300, 0.1);
         let bump = Plane::from_fn(300, 300, |x, y| {
             let away = (x as f32 - 150.0).hypot(y as f32 - 150.0) / 50.0;
             (-away * away).exp()
