@@ -21,7 +21,7 @@ const LOCKS: [&str; 4] = [
 ];
 
 /// Crates in several versions: name, number of versions, and why there is not only one.
-const SEVERAL: [(&str, usize, &str); 12] = [
+const SEVERAL: [(&str, usize, &str); 13] = [
     ("base64", 2, "axum has the older one, usvg the newer one"),
     ("bitflags", 2, "smoltcp, defmt and linuxvideo have version 1"),
     ("embassy-time", 2, "ethercrab, the master that a test compares with"),
@@ -35,6 +35,7 @@ const SEVERAL: [(&str, usize, &str); 12] = [
     ("heapless", 2, "usb-device and ethercrab have the older one"),
     ("linux-raw-sys", 2, "ethercrab's timerfd has the older rustix"),
     ("nb", 2, "belongs to both versions of embedded-hal"),
+    ("num-bigint", 2, "rustface has the older one, cbor-edn the newer one"),
     (
         "roxmltree",
         2,

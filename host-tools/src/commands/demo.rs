@@ -20,7 +20,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 /// Options of `etherpen demo`.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// File to draw: photograph (PNG, JPEG), vectors (SVG, G-code, HPGL) or CSV. Default: the bundled portrait. Results
+    /// File to draw: photograph (PNG, JPEG, WebP), vectors (SVG, G-code, HPGL) or CSV. Default: the bundled portrait. Results
     /// go to target/demo, or to --out.
     #[arg(long, value_name = "FILE")]
     photo: Option<PathBuf>,

@@ -38,7 +38,7 @@ const ANSWER_MAX: Duration = Duration::from_secs(2);
 /// Options of `etherpen draw`.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// Photograph (PNG, JPEG), vectors (SVG, G-code, HPGL) or CSV to draw; - reads it from standard input.
+    /// Photograph (PNG, JPEG, WebP), vectors (SVG, G-code, HPGL) or CSV to draw; - reads it from standard input.
     #[arg(required_unless_present_any = ["camera", "resume"], conflicts_with = "camera")]
     file: Option<PathBuf>,
     /// Take a photograph with a V4L2 device (/dev/video0), or from a recorded stream of JPEG pictures, and draw it. The

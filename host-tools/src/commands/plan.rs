@@ -41,7 +41,7 @@ const LIMIT_MAX: f64 = 1.0e12;
 /// it. Every limit that is not proved is listed with a witness.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// CSV of coordinates, a photograph (PNG, JPEG) or vectors (SVG, G-code, HPGL).
+    /// CSV of coordinates, a photograph (PNG, JPEG, WebP) or vectors (SVG, G-code, HPGL).
     file: PathBuf,
     /// Print the findings as JSON on stdout.
     #[arg(long)]

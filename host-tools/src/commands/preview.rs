@@ -19,7 +19,7 @@ use std::path::{Path, PathBuf};
 /// planner computes for the path that `draw` would send, from above the first stroke's start.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// Photograph (PNG, JPEG), vectors (SVG, G-code, HPGL) or CSV; - reads it from standard input.
+    /// Photograph (PNG, JPEG, WebP), vectors (SVG, G-code, HPGL) or CSV; - reads it from standard input.
     file: PathBuf,
     /// Picture to write; the file name selects SVG or PNG.
     #[arg(short, long, value_name = "OUT.svg|png")]

@@ -15,7 +15,7 @@ use std::path::PathBuf;
 /// Options of `etherpen simulate`.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// Photograph (PNG, JPEG), vectors (SVG, G-code, HPGL) or CSV to draw; - reads it from standard input.
+    /// Photograph (PNG, JPEG, WebP), vectors (SVG, G-code, HPGL) or CSV to draw; - reads it from standard input.
     file: PathBuf,
     #[command(flatten)]
     drawing: DrawingArguments,

@@ -3,9 +3,10 @@
 use super::{ConfigArguments, print_json};
 use crate::drawing::preparation::compose::{from_photograph, unusable};
 use crate::drawing::preparation::source::SourceArguments;
+use crate::drawing::preparation::variants::{Variant, contact_sheet, variants_of};
 use crate::drawing::{DrawingError, Input, load, write_svg};
 use crate::error::ProgramError;
-use crate::output_file::{refuse_input, write_text};
+use crate::output_file::{refuse_input, write_bytes, write_text};
 use crate::terminal::counted;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -14,11 +15,17 @@ use std::time::Instant;
 /// Options of `etherpen vectorize`.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
-    /// Photograph (PNG, JPEG); - reads it from standard input.
+    /// Photograph (PNG, JPEG, WebP); - reads it from standard input.
     photo: PathBuf,
     /// The SVG to write, of the sheet's size; - writes it to standard output.
-    #[arg(short, long, value_name = "OUT.svg")]
-    out: PathBuf,
+    #[arg(short, long, value_name = "OUT.svg", required_unless_present = "contact_sheet")]
+    out: Option<PathBuf>,
+    /// Draw the photograph in this many ways: styles, crops and backgrounds; the first one is the one asked for.
+    #[arg(long, value_name = "COUNT", requires = "contact_sheet", value_parser = clap::value_parser!(u8).range(1..=12))]
+    variants: Option<u8>,
+    /// The PNG with all variants side by side, each with its options [default: 6 variants].
+    #[arg(long, value_name = "OUT.png")]
+    contact_sheet: Option<PathBuf>,
     /// Print strokes, their length and the computing time as JSON on stdout.
     #[arg(long)]
     json: bool,
@@ -38,7 +45,23 @@ struct Answer {
     size_mm: [f64; 2],
     /// Time to read, vectorise and write, s.
     seconds: f64,
+    /// What the contact sheet shows, in its order.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    variants: Vec<VariantAnswer>,
 }
+
+/// A variant on the contact sheet.
+#[derive(Debug, Serialize)]
+struct VariantAnswer {
+    /// The options that draw this variant.
+    options: String,
+    strokes: usize,
+    pen_down_mm: f64,
+    pen_up_mm: f64,
+}
+
+/// Variants on a contact sheet without a number of them.
+const VARIANTS: u8 = 6;
 
 /// Runs the command.
 ///
@@ -46,25 +69,41 @@ struct Answer {
 /// The photograph or an option cannot be used, or the result cannot be written.
 pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let begun = Instant::now();
-    refuse_input(
-        &arguments.out,
-        &arguments.source.inputs(&arguments.photo, arguments.config.path()),
-    )?;
+    let inputs = arguments.source.inputs(&arguments.photo, arguments.config.path());
+    for out in [&arguments.out, &arguments.contact_sheet].into_iter().flatten() {
+        refuse_input(out, &inputs)?;
+    }
     let config = arguments.config.load()?;
     let refused = |cause: DrawingError| unusable(&arguments.photo, &cause);
     let Input::Photograph(picture) = load(&arguments.photo).map_err(refused)? else {
         return Err(refused(DrawingError::NoPhotograph));
     };
-    let made = from_photograph(picture, &config, &arguments.source).map_err(refused)?;
+    let source = &arguments.source;
+    let made = from_photograph(picture.clone(), &config, source).map_err(refused)?;
+    made.remarks.iter().for_each(|text| eprintln!("etherpen: {text}"));
     let ([_, _, width, height], drawing) = (made.place_mm, made.drawing);
-    let svg = write_svg(&drawing.strokes, drawing.sheet_mm, arguments.source.pen_width_mm());
-    write_text(&arguments.out, &svg)?;
+    if let Some(out) = &arguments.out {
+        write_text(
+            out,
+            &write_svg(&drawing.strokes, drawing.sheet_mm, source.pen_width_mm()),
+        )?;
+    }
+    let mut variants = Vec::new();
+    if let Some(out) = &arguments.contact_sheet {
+        let count = usize::from(arguments.variants.unwrap_or(VARIANTS));
+        let others = variants_of(&picture, &config, source, count - 1).map_err(refused)?;
+        let first = Variant::new(source.look(), drawing.clone());
+        let all: Vec<Variant> = std::iter::once(first).chain(others).collect();
+        write_bytes(out, &contact_sheet(&all, source.pen_width_mm()).map_err(refused)?)?;
+        variants = all.iter().map(VariantAnswer::of).collect();
+    }
     let answer = Answer {
         strokes: drawing.strokes.len(),
         pen_down_mm: drawing.pen_down_mm(),
         pen_up_mm: drawing.pen_up_mm(),
         size_mm: [width, height],
         seconds: begun.elapsed().as_secs_f64(),
+        variants,
     };
     if arguments.json {
         return print_json(&answer);
@@ -76,5 +115,24 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         answer.pen_up_mm,
         answer.seconds
     );
+    for (k, variant) in answer.variants.iter().enumerate() {
+        eprintln!(
+            "etherpen: {}: {}, {}",
+            k + 1,
+            variant.options,
+            counted(variant.strokes, "stroke")
+        );
+    }
     Ok(())
+}
+
+impl VariantAnswer {
+    fn of(variant: &Variant) -> Self {
+        Self {
+            options: variant.options.clone(),
+            strokes: variant.drawing.strokes.len(),
+            pen_down_mm: variant.drawing.pen_down_mm(),
+            pen_up_mm: variant.drawing.pen_up_mm(),
+        }
+    }
 }

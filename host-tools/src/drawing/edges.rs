@@ -60,6 +60,28 @@ impl Flow {
         }
     }
 
+    /// This flow turned to one direction where `share` is 1; `weight` is that direction's weight against the picture's.
+    pub(crate) fn turned_to(&self, angle_rad: f32, weight: f32, share: &Plane) -> Self {
+        let (sine, cosine) = (2.0 * angle_rad).sin_cos();
+        Self {
+            cosine: self
+                .cosine
+                .zip(share, |own, share| own * (1.0 - share) + share * weight * cosine),
+            sine: self
+                .sine
+                .zip(share, |own, share| own * (1.0 - share) + share * weight * sine),
+        }
+    }
+
+    /// This flow turned everywhere by the same angle.
+    pub(crate) fn turned(&self, angle_rad: f32) -> Self {
+        let (sine, cosine) = (2.0 * angle_rad).sin_cos();
+        Self {
+            cosine: self.cosine.zip(&self.sine, |c, s| c * cosine - s * sine),
+            sine: self.cosine.zip(&self.sine, |c, s| c * sine + s * cosine),
+        }
+    }
+
     /// Unit vector along the flow at every pixel, row by row.
     fn tangents(&self) -> Vec<[f32; 2]> {
         let tangent = |(&cosine, &sine): (&f32, &f32)| {

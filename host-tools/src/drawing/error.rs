@@ -41,6 +41,8 @@ pub enum DrawingError {
     Damaged,
     /// The picture has an unsupported format.
     Unsupported,
+    /// The picture is a HEIC or AVIF file.
+    Heic,
     /// The picture has too many pixels.
     TooLarge {
         /// Width, pixels.
@@ -195,6 +197,11 @@ impl fmt::Display for DrawingError {
             }
             Self::Damaged => write!(f, "the picture is damaged or cut off; copy or export it again"),
             Self::Unsupported => write!(f, "this kind of picture is not decoded; convert it to an 8-bit RGB PNG"),
+            Self::Heic => write!(
+                f,
+                "HEIC and AVIF pictures are not decoded; convert the file with `heif-convert IN.heic OUT.jpg` (package \
+                 libheif-examples), or export it as JPEG"
+            ),
             Self::TooLarge {
                 width,
                 height,
@@ -228,7 +235,7 @@ impl fmt::Display for DrawingError {
                     "sheet, margin, pen width and budgets must be positive and leave room inside the margins"
                 )
             }
-            Self::NoPhotograph => write!(f, "a photograph (PNG, JPEG) is needed here"),
+            Self::NoPhotograph => write!(f, "a photograph (PNG, JPEG, WebP) is needed here"),
             Self::NoArtwork => write!(
                 f,
                 "a vector file (SVG) is needed here; `vectorize` makes one of a photograph"

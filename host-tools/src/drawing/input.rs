@@ -69,7 +69,10 @@ pub fn load_content(path: &Path, bytes: &[u8], font: &TextFont) -> Result<Input,
         return Err(DrawingError::Empty);
     }
     match image::guess_format(bytes) {
-        Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => return decode(bytes, format).map(Input::Photograph),
+        Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP)) => {
+            return decode(bytes, format).map(Input::Photograph);
+        }
+        _ if is_heic(bytes) => return Err(DrawingError::Heic),
         Ok(_) => return Err(DrawingError::Unsupported),
         Err(_) => {}
     }
@@ -82,6 +85,13 @@ pub fn load_content(path: &Path, bytes: &[u8], font: &TextFont) -> Result<Input,
         Some(Kind::Hpgl) => read_hpgl(text).map(Input::Artwork),
         None => Err(DrawingError::UnknownContent),
     }
+}
+
+/// Whether a file is a picture in a container of ISO 14496-12 with HEVC or AV1, as telephones make them.
+fn is_heic(bytes: &[u8]) -> bool {
+    const BRANDS: [&[u8; 4]; 8] = [b"heic", b"heix", b"heim", b"heis", b"hevc", b"mif1", b"msf1", b"avif"];
+    let brand = bytes.get(8..12);
+    bytes.get(4..8) == Some(b"ftyp") && BRANDS.iter().any(|known| brand == Some(known.as_slice()))
 }
 
 /// Reads a file's content, `-` for standard input.

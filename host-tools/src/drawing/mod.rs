@@ -9,11 +9,14 @@
 //! two of them.
 
 mod artwork;
+mod background;
 mod camera;
 mod clip;
 mod csv;
 mod edges;
+mod engrave;
 mod error;
+mod face;
 mod focus;
 mod gcode;
 #[cfg(test)]
@@ -22,6 +25,7 @@ mod hpgl;
 mod input;
 mod join;
 mod length;
+mod light;
 mod line;
 mod order;
 mod path;
@@ -31,7 +35,9 @@ pub mod preparation;
 mod preview;
 mod raster;
 mod render;
+mod stipple;
 mod styles;
+mod subject;
 mod svg;
 mod tone;
 mod tour;
@@ -39,9 +45,11 @@ mod travel;
 mod vectorize;
 
 pub use artwork::{Artwork, Layer, LayerStroke, Placed, Placement, UserSpace, off_sheet};
+pub use background::Background;
 pub use camera::{CameraError, take_photograph};
 pub use csv::{Coordinates, Path3d, read_csv};
 pub use error::{DrawingError, FilePlace};
+pub use face::Face;
 pub use input::{Input, load, load_content, load_with, read_file};
 pub use length::{parse_duration_s, parse_length_mm, parse_point_mm, parse_size_mm};
 pub use order::{OrderOptions, OrderReport, order, order_with_effort};
@@ -51,9 +59,10 @@ pub(crate) use raster::Plane;
 pub(crate) use render::draw_line;
 pub use render::{edge_coverage, render_png, render_rgb, tone_correlation, write_artwork, write_svg};
 pub use styles::Style;
+pub use subject::{Crop, FACE_PENS_MIN, FACE_PENS_WANTED, Subject, parse_focus};
 pub use svg::{FontFile, TextFont, read_svg, read_svg_with};
 pub use travel::Travel;
-pub use vectorize::{Estimate, VectorizeOptions, estimate, vectorize, vectorize_image};
+pub use vectorize::{Estimate, VectorizeOptions, estimate, vectorize, vectorize_image, vectorize_subject};
 
 use serde::{Deserialize, Serialize};
 

@@ -6,8 +6,9 @@
 use super::line::{self, Point};
 use super::raster::Plane;
 use super::{Artwork, DrawingError, Layer, Stroke, UserSpace};
-use image::imageops::{FilterType, resize};
+use image::imageops::{FilterType, resize, thumbnail};
 use image::{ImageFormat, Rgb, RgbImage};
+use std::borrow::Cow;
 use std::fmt::Write as _;
 use std::io::Cursor;
 
@@ -223,6 +224,16 @@ pub fn edge_coverage(photograph: &RgbImage, rendered: &RgbImage) -> f64 {
         }
     }
     f64::from(covered) / f64::from(strong.max(1))
+}
+
+/// A copy of a large picture whose longer side is at most `side_max` pixels; each pixel is the mean of those it replaces.
+pub(super) fn reduced(picture: &RgbImage, side_max: u32) -> Cow<'_, RgbImage> {
+    let longer = picture.width().max(picture.height());
+    if longer <= side_max {
+        return Cow::Borrowed(picture);
+    }
+    let side = |length: u32| (u64::from(length) * u64::from(side_max) / u64::from(longer)).max(1) as u32;
+    Cow::Owned(thumbnail(picture, side(picture.width()), side(picture.height())))
 }
 
 /// Luma of a picture, 0 to 1 (Rec. 601 weights).

@@ -22,15 +22,16 @@ const RUN_MAX: usize = 3;
 const ROUNDS_MAX: usize = 60;
 /// Smallest improvement that counts, s.
 const GAIN_MIN_S: f64 = 1e-9;
-/// Number of disturbances: one for each stroke, within these limits. More of them would shorten a tour by another per
-/// cent.
-const KICKS_MIN: usize = 60;
+/// Number of disturbances: two for each stroke, within these limits. More of them would shorten a tour by less than
+/// another per cent.
+const KICKS_A_STROKE: usize = 2;
+const KICKS_MIN: usize = 400;
 const KICKS_MAX: usize = 200_000;
 /// Largest distance between places that are changed together after a disturbance, so that its cost does not grow with
 /// the drawing.
 const KICK_SPAN: usize = 400;
-/// Most strokes of a run that a disturbance moves.
-const KICK_RUN: usize = 30;
+/// Most strokes of a run that a disturbance moves; disturbances take turns with both.
+const KICK_RUNS: [usize; 2] = [30, 10];
 /// Largest ratio of a given order's length to the greedy one's for which the given order is also tried as a start.
 const GIVEN_RATIO: f64 = 1.3;
 
@@ -191,14 +192,15 @@ impl<'a> Tour<'a> {
     /// Disturbs the tour at many places, one after the other, and keeps improvements.
     fn disturb(&mut self, effort: usize) {
         let strokes = self.tour.len() / 2;
-        let longest = KICK_RUN.min(strokes / 3);
-        if longest == 0 {
+        if strokes < 3 {
             return;
         }
         self.span_max = KICK_SPAN;
         let mut random = Lcg::new(1);
         let mut below = |limit: usize| random.below(limit);
-        for _ in 0..effort.saturating_mul(strokes.clamp(KICKS_MIN, KICKS_MAX)) {
+        let kicks = (KICKS_A_STROKE * strokes).clamp(KICKS_MIN, KICKS_MAX);
+        for longest in KICK_RUNS.into_iter().cycle().take(effort.saturating_mul(kicks)) {
+            let longest = longest.min(strokes / 3);
             let (first, second) = (1 + below(longest), 1 + below(longest));
             let start = below(strokes - first - second + 1);
             let (from, middle, after) = (2 * start, 2 * (start + first), 2 * (start + first + second));

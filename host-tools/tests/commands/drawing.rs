@@ -210,6 +210,31 @@ fn a_photograph_becomes_lines_of_the_same_page_in_each_run() {
 }
 
 #[test]
+fn variants_of_a_photograph_are_shown_side_by_side() {
+    let folder = Folder::new();
+    let sheet = folder.join("sheet.png");
+    let mut command = etherpen(&folder);
+    command.arg("vectorize").arg(workspace().join("samples/astronaut.png"));
+    let (status, stdout, stderr) = run(command
+        .args(["--json", "--size", "60mm", "--variants", "3", "--contact-sheet"])
+        .arg(&sheet));
+    assert_eq!(status, Some(0), "{stderr}");
+    assert!(stderr.contains("--crop none draws everything"), "{stderr}");
+    let answer = json(&stdout);
+    let variants = answer["variants"].as_array().expect("variants");
+    assert_eq!(variants.len(), 3);
+    assert_eq!(variants[0]["strokes"], answer["strokes"]);
+    assert_eq!(variants[1]["options"], "--style hatch --crop auto --background fade");
+    let picture = image::open(&sheet).expect("the contact sheet");
+    assert!(picture.width() > 3 * 720 && picture.height() > 720);
+    let (status, _, stderr) = run(etherpen(&folder)
+        .arg("vectorize")
+        .arg(workspace().join("samples/astronaut.png"))
+        .args(["--variants", "3"]));
+    assert_eq!(status, Some(i32::from(code::USAGE)), "{stderr}");
+}
+
+#[test]
 fn a_camera_takes_the_photograph_that_is_drawn() {
     let folder = Folder::new();
     let picture = image::RgbImage::from_fn(96, 64, |x, y| {

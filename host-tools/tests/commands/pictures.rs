@@ -2,7 +2,9 @@
 //!
 //! `ETHERPEN_RENEW_GOLDEN=1 cargo test -p host-tools --test commands pictures` redraws them in `docs/styles`.
 
-use host_tools::drawing::{Style, VectorizeOptions, render_rgb, vectorize};
+use host_tools::drawing::{
+    Crop, Input, Style, Subject, VectorizeOptions, load, render_rgb, vectorize_image, vectorize_subject,
+};
 use host_tools::setup::workspace;
 use image::{GrayImage, imageops};
 
@@ -18,7 +20,19 @@ fn drawn(photograph: &str, style: &str, seed: u64) -> GrayImage {
         ..VectorizeOptions::default()
     };
     let file = workspace().join("samples").join(format!("{photograph}.png"));
-    let drawing = vectorize(file, &options).expect("strokes");
+    let Ok(Input::Photograph(picture)) = load(&file) else {
+        panic!("{} is no photograph", file.display());
+    };
+    let subject = Subject::of(&picture, None);
+    let size_px = [picture.width(), picture.height()];
+    let drawing = match subject.window(size_px, Crop::Auto, options.room_mm(), options.pen_width_mm) {
+        Some(window) => {
+            let (part, subject) = subject.cut(&picture, window);
+            vectorize_subject(&part, &subject, &options)
+        }
+        None => vectorize_image(&picture, &options),
+    };
+    let drawing = drawing.expect("strokes");
     let picture = render_rgb(&drawing.strokes, drawing.sheet_mm, options.pen_width_mm, PX_PER_MM);
     imageops::grayscale(&picture)
 }
@@ -68,6 +82,11 @@ fn hatchings_are_the_golden_ones() {
 #[test]
 fn flows_are_the_golden_ones() {
     compare("flow");
+}
+
+#[test]
+fn engravings_are_the_golden_ones() {
+    compare("engrave");
 }
 
 #[test]

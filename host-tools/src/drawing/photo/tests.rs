@@ -101,6 +101,26 @@ fn depth_and_transparency_do_not_change_the_picture() {
 }
 
 #[test]
+fn webp_is_read_and_a_cut_one_is_refused() {
+    let picture = RgbImage::from_fn(90, 60, |x, y| image::Rgb([(x * 2) as u8, (y * 4) as u8, 30]));
+    let webp = encoded(&DynamicImage::ImageRgb8(picture.clone()), ImageFormat::WebP);
+    let Ok(Input::Photograph(loaded)) = load_bytes("small.webp", &webp) else {
+        panic!("a WebP picture was refused");
+    };
+    assert_eq!(loaded, picture);
+    let cut = load_bytes("cut.webp", &webp[..webp.len() / 2]);
+    assert_eq!(cut.err(), Some(DrawingError::Damaged));
+}
+
+#[test]
+fn a_telephones_heic_names_the_program_that_converts_it() {
+    let heic = b"\0\0\0\x24ftypheic\0\0\0\0mif1heic";
+    let error = load_bytes("photo.heic", heic).err();
+    assert_eq!(error, Some(DrawingError::Heic));
+    assert!(error.is_some_and(|error| error.to_string().contains("heif-convert")));
+}
+
+#[test]
 fn inks_become_light() {
     let Ok(Input::Photograph(loaded)) =
         load_bytes("inks.jpg", include_bytes!("../../../../tests/data/pictures/cmyk.jpg"))

@@ -4,10 +4,12 @@ use super::choose_order::choose_order;
 use super::source::SourceArguments;
 use super::time_budget;
 use super::wire::as_sent;
+use crate::drawing::photo::{SIDE_MIN, check_size};
 use crate::drawing::{
-    Artwork, Drawing, DrawingError, Input, Layer, LayerStroke, OrderOptions, Stroke, Travel, VectorizeOptions,
-    load_content, to_path, vectorize_image,
+    Artwork, Crop, Drawing, DrawingError, Input, Layer, LayerStroke, OrderOptions, Stroke, Subject, Travel,
+    VectorizeOptions, load_content, to_path, vectorize_subject,
 };
+use crate::drawing::{FACE_PENS_MIN, FACE_PENS_WANTED};
 use crate::error::{ProgramError, code};
 use etherpen::config::Config;
 use etherpen::motion::{Pen, Vertex};
@@ -55,6 +57,7 @@ pub(crate) fn compose_content(
     let path = match load_content(file, content, &options.font()).map_err(refused)? {
         Input::Photograph(picture) => {
             let made = from_photograph(picture, config, options).map_err(refused)?;
+            made.remarks.iter().for_each(|text| eprintln!("etherpen: {text}"));
             photograph = Some((made.picture, made.place_mm));
             known_s = made.planned_s;
             parts.push((Layer::default(), made.drawing));
@@ -117,7 +120,7 @@ pub(crate) fn in_sequence(parts: &[(Layer, Drawing)]) -> Drawing {
 
 /// A photograph's strokes.
 pub(crate) struct FromPhotograph {
-    /// The rotated picture.
+    /// The part of the rotated picture that is drawn.
     pub(crate) picture: RgbImage,
     /// Its place on the sheet: left, top, width and height, mm.
     pub(crate) place_mm: [f64; 4],
@@ -125,6 +128,8 @@ pub(crate) struct FromPhotograph {
     pub(crate) drawing: Drawing,
     /// Planned duration of the strokes in this order, s, if a drawing time was requested.
     pub(crate) planned_s: Option<f64>,
+    /// Remarks for the person who asked for the drawing.
+    pub(crate) remarks: Vec<String>,
 }
 
 /// Converts a photograph into strokes, within a drawing time if one is given.
@@ -141,6 +146,8 @@ pub(crate) fn from_photograph(
     };
     let source = options;
     let options = source.vectorize_options(config);
+    check_size(picture.width(), picture.height())?;
+    let (picture, subject, remarks) = part_of(picture, source.crop(), &options);
     let place_mm = options.picture_mm(picture.width(), picture.height())?;
     let timed = match source.time_budget_s() {
         None => None,
@@ -149,19 +156,49 @@ pub(crate) fn from_photograph(
                 pen_width_mm: widths * options.pen_width_mm,
                 ..options
             };
-            vectorize_image(&picture, &wider)
+            vectorize_subject(&picture, &subject, &wider)
         })?,
     };
     let (drawing, planned_s) = match timed {
         Some(timed) => (timed.drawing, Some(timed.planned_s)),
-        None => (vectorize_image(&picture, &options)?, None),
+        None => (vectorize_subject(&picture, &subject, &options)?, None),
     };
     Ok(FromPhotograph {
         picture,
         place_mm,
         drawing,
         planned_s,
+        remarks,
     })
+}
+
+/// The part of a photograph that is drawn, its subject, and remarks for the person who asked for it.
+fn part_of(picture: RgbImage, crop: Crop, options: &VectorizeOptions) -> (RgbImage, Subject, Vec<String>) {
+    let subject = Subject::of(&picture, options.focus);
+    let room_mm = options.room_mm();
+    let size_px = [picture.width(), picture.height()];
+    let mut remarks = Vec::new();
+    let (part, subject) = match subject.window(size_px, crop, room_mm, options.pen_width_mm) {
+        Some(window) if window[2].min(window[3]) >= SIDE_MIN => {
+            if crop == Crop::Auto {
+                let [left, top, width, height] = window;
+                remarks.push(format!(
+                    "draws the head alone (--crop {left},{top},{width},{height}), because the face would be small in the \
+                     whole picture; --crop none draws everything"
+                ));
+            }
+            subject.cut(&picture, window)
+        }
+        _ => (picture, subject),
+    };
+    let face_pens = subject.face_pens([part.width(), part.height()], room_mm, options.pen_width_mm);
+    if let Some(pens) = face_pens.filter(|&pens| pens < FACE_PENS_MIN) {
+        remarks.push(format!(
+            "the face is only {pens:.0} pen widths wide; a likeness needs {FACE_PENS_WANTED:.0}: try --crop head, a larger \
+             --size or a finer pen"
+        ));
+    }
+    (part, subject, remarks)
 }
 
 /// Strokes on a sheet as artwork whose page is that sheet.

@@ -2,7 +2,7 @@
 //!
 //! [`prepare`] reads the file, [`compose`] converts it into strokes, [`choose_order`] selects their order by the
 //! firmware's planner, and `time_budget` fits a photograph into a drawing time. [`confined`] does that in a separate
-//! process. [`listed`] reads paths that are planned exactly as listed. [`source`] has the options of all commands that
+//! process. `variants` draws a photograph in several ways. [`listed`] reads paths that are planned exactly as listed. [`source`] has the options of all commands that
 //! draw or show a file.
 
 pub mod choose_order;
@@ -14,4 +14,5 @@ pub mod prepare;
 pub mod preview;
 pub mod source;
 mod time_budget;
+pub(crate) mod variants;
 pub mod wire;

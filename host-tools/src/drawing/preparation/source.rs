@@ -1,8 +1,8 @@
 //! Options for the conversion of a file into strokes, shared by all commands that draw or show one.
 
 use crate::drawing::{
-    FontFile, Placement, Style, TextFont, VectorizeOptions, parse_duration_s, parse_length_mm, parse_point_mm,
-    parse_size_mm,
+    Background, Crop, FontFile, Placement, Style, TextFont, VectorizeOptions, parse_duration_s, parse_focus,
+    parse_length_mm, parse_point_mm, parse_size_mm,
 };
 use etherpen::config::Config;
 use serde::{Deserialize, Serialize};
@@ -39,8 +39,21 @@ pub struct SourceArguments {
     /// Line width of the pen [default: 0.5mm].
     #[arg(long, value_name = "LENGTH", value_parser = parse_length_mm)]
     pen_width: Option<f64>,
-    /// Photographs: edges with hatching along the picture's flow (sketch), edges with straight hatching (hatch),
-    /// hatching along the flow alone (flow), one single line (tsp).
+    /// Photographs: the part that is drawn: the head, the subject with its body, everything (none), or a window X,Y,W,H
+    /// in pixels of the upright picture. auto draws the head of a portrait whose face would be small on the sheet.
+    #[arg(long, value_name = "PART", default_value = "auto", value_parser = crop)]
+    crop: String,
+    /// Photographs: centre and radius of the face, in pixels of the upright picture; it is drawn finest. Default: faces
+    /// are looked for.
+    #[arg(long, value_name = "X,Y,R", value_parser = parse_focus)]
+    focus: Option<Circle>,
+    /// Photographs with a face: what is drawn of the background: all (keep), less with the distance from the subject
+    /// (fade), nothing (none).
+    #[arg(long, value_name = "HOW", default_value = "fade", value_parser = Background::NAMES)]
+    background: String,
+    /// Photographs: edges with hatching along the picture's flow (sketch), edges with crossed hatching over the form
+    /// (hatch), hatching along the flow with lines at the eyes and mouth alone (flow), one single line (tsp), edges with
+    /// long parallel lines that bend with the form (engrave).
     #[arg(long, value_name = "STYLE", default_value = "sketch", value_parser = Style::NAMES)]
     style: String,
     /// Photographs: amount of detail, 0 (coarse) to 1 (fine) [default: 0.5].
@@ -98,6 +111,13 @@ fn share(text: &str) -> Result<f64, String> {
 
 /// A drawing time that limits no drawing, s.
 const UNBOUNDED_S: f64 = 1e9;
+
+fn crop(text: &str) -> Result<String, String> {
+    Crop::parse(text).map(|_| text.to_owned())
+}
+
+/// Centre and radius, pixels.
+type Circle = [f64; 3];
 
 /// Two lengths, mm.
 type Size = [f64; 2];
@@ -159,7 +179,32 @@ impl SourceArguments {
             },
             time_max_s: self.max_time.map_or(plain.time_max_s, |_| UNBOUNDED_S),
             seed: self.seed.unwrap_or(plain.seed),
+            background: Background::from_name(&self.background).unwrap_or_default(),
+            focus: self.focus,
         }
+    }
+
+    /// These options with another style, crop and background of photographs.
+    #[must_use]
+    pub fn varied(&self, [style, crop, background]: [&str; 3]) -> Self {
+        Self {
+            style: style.to_owned(),
+            crop: crop.to_owned(),
+            background: background.to_owned(),
+            ..self.clone()
+        }
+    }
+
+    /// Style, crop and background of photographs.
+    #[must_use]
+    pub fn look(&self) -> [&str; 3] {
+        [&self.style, &self.crop, &self.background]
+    }
+
+    /// The part of a photograph that is drawn.
+    #[must_use]
+    pub fn crop(&self) -> Crop {
+        Crop::parse(&self.crop).unwrap_or_default()
     }
 
     /// Longest drawing time of a photograph, s, if one is requested.

@@ -1,8 +1,9 @@
 //! Photographs as strokes: tone, lines, budgets, seeds, refusals.
 
 use super::*;
-use crate::drawing::{render_rgb, tone_correlation};
+use crate::drawing::{Crop, render_rgb, tone_correlation};
 use image::Rgb;
+use image::imageops::{FilterType, resize};
 use std::sync::OnceLock;
 
 struct Sample {
@@ -55,10 +56,87 @@ fn a_tall_picture_is_compared_where_it_lies_on_the_sheet() {
 
 #[test]
 fn the_tone_of_a_drawing_follows_its_photograph() {
-    for Sample { name, picture, drawing } in samples() {
+    for Sample { name, picture, .. } in samples() {
+        let options = VectorizeOptions {
+            background: Background::Keep,
+            ..VectorizeOptions::default()
+        };
+        let drawing = vectorize_image(picture, &options).expect(name);
         let rendered = render_rgb(&drawing.strokes, drawing.sheet_mm, 0.5, 2.56);
         let tone = tone_correlation(picture, &rendered);
         assert!(tone > 0.85, "{name}: {tone}");
+    }
+}
+
+#[test]
+fn the_tone_of_a_head_alone_follows_its_photograph_in_every_style() {
+    let Sample { picture, .. } = &samples()[0];
+    let subject = Subject::of(picture, None);
+    let window = subject.window([512, 512], Crop::Auto, [192.0; 2], 0.5).expect("a head");
+    let (head, subject) = subject.cut(picture, window);
+    for style in Style::NAMES.into_iter().filter_map(Style::from_name) {
+        let options = VectorizeOptions {
+            style,
+            ..VectorizeOptions::default()
+        };
+        let drawing = vectorize_subject(&head, &subject, &options).expect("a drawing");
+        let rendered = render_rgb(&drawing.strokes, drawing.sheet_mm, 0.5, 5.0);
+        let place = options.picture_mm(head.width(), head.height()).expect("room");
+        let [left, top, width, height] = place.map(|mm| (mm * 5.0) as u32);
+        let part = image::imageops::crop_imm(&rendered, left, top, width, height).to_image();
+        let tone = tone_correlation(&head, &part);
+        println!("{style:?}: {tone:.3}, {:?}", estimate(&drawing));
+        assert!(tone > 0.8, "{style:?}: {tone}");
+    }
+}
+
+#[test]
+fn a_background_of_none_leaves_white_paper_and_keep_draws_it() {
+    let Sample { picture, .. } = &samples()[0];
+    let corner_mm = |background: Background| {
+        let options = VectorizeOptions {
+            background,
+            ..VectorizeOptions::default()
+        };
+        let drawing = vectorize_image(picture, &options).expect("a drawing");
+        let points = drawing.strokes.iter().flat_map(|stroke| stroke.points.windows(2));
+        let in_corner = points.filter(|pair| pair.iter().all(|[x, y]| *x < 40.0 && *y < 60.0));
+        in_corner
+            .map(|pair| (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1]))
+            .sum::<f64>()
+    };
+    let [keep, fade, none] = [Background::Keep, Background::Fade, Background::None].map(corner_mm);
+    assert!(
+        keep > 300.0 && fade < 0.6 * keep && none < 0.05 * keep,
+        "{keep} {fade} {none}"
+    );
+}
+
+#[test]
+fn dark_flat_backlit_and_tiny_pictures_are_drawn() {
+    let Sample { picture, .. } = &samples()[0];
+    let mapped = |f: &dyn Fn(f64) -> f64| {
+        RgbImage::from_fn(512, 512, |x, y| {
+            Rgb(picture.get_pixel(x, y).0.map(|value| f(f64::from(value)) as u8))
+        })
+    };
+    let mut backlit = mapped(&|value| 0.3 * value);
+    for (x, y, pixel) in backlit.enumerate_pixels_mut() {
+        if (f64::from(x) - 225.0).hypot(f64::from(y) - 110.0) > 130.0 && y < 200 {
+            *pixel = Rgb([250; 3]);
+        }
+    }
+    let tiny = resize(picture, 32, 32, FilterType::Triangle);
+    let cases = [
+        ("dark", mapped(&|value| 0.12 * value)),
+        ("flat", mapped(&|value| 120.0 + 0.1 * value)),
+        ("backlit", backlit),
+        ("tiny", tiny),
+    ];
+    for (name, case) in cases {
+        let drawing = vectorize_image(&case, &VectorizeOptions::default()).expect(name);
+        assert!(drawing.pen_down_mm() > 3_000.0, "{name}: {}", drawing.pen_down_mm());
+        assert_inside(&drawing, 4.0);
     }
 }
 

@@ -1,0 +1,252 @@
+//! Analysis of a photograph before it is drawn: light, faces, background, directions, required ink.
+
+use super::{DrawingError, Frame, VectorizeOptions};
+use crate::drawing::background::{Background, is_portrait};
+use crate::drawing::edges::Flow;
+use crate::drawing::face::Face;
+use crate::drawing::focus::focus;
+use crate::drawing::light::{TO_CHIN, TO_NECK, darkness_in_faces, exposed, ovals, with_even_skin};
+use crate::drawing::raster::Plane;
+use crate::drawing::render::{grey, reduced};
+use crate::drawing::subject::Subject;
+use image::RgbImage;
+use image::imageops::{FilterType, resize};
+
+/// Direction of hatching where the picture has none, and inside faces, radians.
+const HATCH_ANGLE_RAD: f32 = -0.8;
+/// Weight of the one direction inside a face: far more than the gradients there.
+const FACE_ANGLE_WEIGHT: f32 = 0.2;
+/// Widest distance of the background from the subject without fading, and the distance at which it fades to a third,
+/// in face radii from the nearest face.
+const FADE_FROM: f64 = 1.3;
+const FADE_OVER: f64 = 0.9;
+/// Background beside the subject of a portrait.
+const FADE_SHARE: f32 = 0.3;
+/// Lightness of hair and of sure skin, of the median in the face's oval.
+const SKIN_FROM: f32 = 0.45;
+const SKIN_SURE: f32 = 0.66;
+/// Exponent from darkness to points in a face.
+const GRAIN_POWER: f32 = 1.3;
+/// Ink of the darkest shade of skin.
+const SHADE_MAX: f32 = 0.62;
+/// Ink of a feature begins at this darkness, and is full after that much more.
+const FEATURE_FROM: f32 = 0.46;
+const FEATURE_OVER: f32 = 0.36;
+
+/// A photograph as planes of the size in which it is processed.
+pub(super) struct Study {
+    pub(super) frame: Frame,
+    /// Pen's width, pixels.
+    pub(super) pen: f64,
+    /// Faces, pixels.
+    pub(super) faces: Vec<Face>,
+    /// How much a pixel belongs to the most important part, which is drawn finest.
+    pub(super) focus: Plane,
+    /// How much a pixel belongs to the oval of a face.
+    pub(super) ovals: Plane,
+    /// How much a pixel belongs to the skin of a face.
+    pub(super) skin: Plane,
+    /// How much a pixel belongs to eyes, brows, nose or mouth.
+    pub(super) features: Plane,
+    /// Share of what is drawn that the background leaves, 0 to 1.
+    pub(super) kept: Plane,
+    /// Lightness without noise, 0 to 1.
+    pub(super) calm: Plane,
+    /// Required ink at full strength, 0 to 1.
+    pub(super) ink: Plane,
+    /// Required ink for points instead of lines, 0 to 1: with all shades and details of a face.
+    pub(super) grain: Plane,
+    /// Directions of strokes.
+    pub(super) hatch_flow: Flow,
+}
+
+impl Study {
+    pub(super) fn of(
+        picture: &RgbImage,
+        subject: &Subject,
+        frame: Frame,
+        options: &VectorizeOptions,
+    ) -> Result<Self, DrawingError> {
+        // Means first: a filter over every pixel of a large photograph takes seconds.
+        let side_max = 2 * frame.work_px[0].max(frame.work_px[1]);
+        let small = resize(
+            &*reduced(picture, side_max),
+            frame.work_px[0],
+            frame.work_px[1],
+            FilterType::CatmullRom,
+        );
+        let scale = f64::from(small.width()) / f64::from(picture.width().max(1));
+        let faces: Vec<Face> = subject.faces.iter().map(|face| face.moved([0.0, 0.0], scale)).collect();
+        let (width, height) = (small.width() as usize, small.height() as usize);
+        let oval_to = |below: f64| ovals(width, height, &faces, below);
+        let (ovals, with_neck) = (oval_to(TO_CHIN), oval_to(TO_NECK));
+        let light = exposed(&grey(&small), &ovals).ok_or(DrawingError::Blank)?;
+        let pen = options.pen_width_mm / frame.mm_per_px;
+        let sigma = |pens: f64| (pens * pen) as f32;
+        let calm = denoised(&light, sigma(1.0) as usize + 1);
+        let focus = if faces.is_empty() {
+            let detail = light.zip(&light.blurred(sigma(2.0)), |value, around| (value - around).abs());
+            focus(&small, &detail)
+        } else {
+            nearness(width, height, &faces)
+        };
+        // A face is never part of the background.
+        let kept = kept(subject, &faces, [width, height], options.background).zip(&ovals, f32::max);
+        let features = features(width, height, &faces);
+        let radius = faces.first().map_or(0.0, |face| face.radius);
+        let skin = skin(&calm, &ovals, &with_neck, radius);
+        let bare = skin.zip(&features, |skin, feature| skin * (1.0 - feature));
+        let on_face = on_face(&light, &calm, &ovals, &features, radius);
+        let ink = ink(&light, &calm, [&focus, &skin, &on_face], pen).zip(&kept, |ink, kept| ink * kept);
+        let dark = darkness_in_faces(&calm, &ovals).map(|dark| ((dark - 0.04) / 0.96).max(0.0).powf(GRAIN_POWER));
+        let grain = ink.mixed(&dark, &skin);
+        let hatch_flow = Flow::of(&calm.blurred(sigma(1.0)), sigma(7.0), HATCH_ANGLE_RAD, 0.006).mixed(
+            &Flow::of(&calm.blurred(sigma(0.6)), sigma(3.0), HATCH_ANGLE_RAD, 0.006),
+            &focus,
+        );
+        let hatch_flow = hatch_flow.turned_to(HATCH_ANGLE_RAD, FACE_ANGLE_WEIGHT, &bare);
+        Ok(Self {
+            frame,
+            pen,
+            faces,
+            focus,
+            ovals,
+            skin,
+            features,
+            kept,
+            calm,
+            ink,
+            grain,
+            hatch_flow,
+        })
+    }
+}
+
+/// The ink that each pixel requires, 0 to 1, from the light and the planes of focus, skin and ink on skin.
+fn ink(light: &Plane, calm: &Plane, [focus, skin, on_face]: [&Plane; 3], pen: f64) -> Plane {
+    let sigma = |pens: f64| (pens * pen) as f32;
+    let tone = denoised(light, sigma(3.0) as usize + 1).mixed(calm, focus);
+    let (near, far) = (calm.blurred(sigma(6.0)), calm.blurred(sigma(30.0)));
+    Plane::from_fn(calm.width(), calm.height(), |x, y| {
+        let (x, y) = (x as isize, y as isize);
+        let (value, face) = (tone.at(x, y), focus.at(x, y));
+        let lifted = value + 0.25 * (value - far.at(x, y)) + 1.2 * face * (value - near.at(x, y));
+        let dark = (1.0 - lifted).clamp(0.0, 1.0);
+        let elsewhere = ((dark - 0.1) / 0.9).max(0.0).powf(1.35);
+        elsewhere + skin.at(x, y) * (on_face.at(x, y) - elsewhere)
+    })
+}
+
+/// How much each pixel belongs to the skin of a face or to a feature in it, not to hair: 0 to 1.
+fn skin(calm: &Plane, ovals: &Plane, with_neck: &Plane, radius: f64) -> Plane {
+    let mut inside: Vec<f32> = (calm.values().iter().zip(ovals.values()))
+        .filter(|(_, oval)| **oval > 0.7)
+        .map(|(value, _)| *value)
+        .collect();
+    if inside.is_empty() {
+        return Plane::filled(calm.width(), calm.height(), 0.0);
+    }
+    let middle = inside.len() / 2;
+    let median = *inside.select_nth_unstable_by(middle, f32::total_cmp).1;
+    // Wider than an eye, narrower than hair.
+    let wide = calm.blurred((0.16 * radius) as f32);
+    with_neck.zip(&wide, |oval, value| {
+        let share = (value / median.max(0.05) - SKIN_FROM) / (SKIN_SURE - SKIN_FROM);
+        oval * share.clamp(0.0, 1.0)
+    })
+}
+
+/// Ink on a face, 0 to 1: the soft shade of the skin, without folds and noise, and what is dark in the features.
+fn on_face(light: &Plane, calm: &Plane, ovals: &Plane, features: &Plane, radius: f64) -> Plane {
+    if radius <= 0.0 {
+        return features.clone();
+    }
+    let smooth = denoised(
+        &denoised(light, (0.10 * radius) as usize + 1),
+        (0.05 * radius) as usize + 1,
+    );
+    let even = with_even_skin(&smooth.blurred((0.035 * radius) as f32), ovals, radius);
+    let shade = even.map(|value| SHADE_MAX * ((1.0 - value - 0.06) / 0.94).max(0.0).powf(1.1));
+    let dark = darkness_in_faces(calm, ovals).zip(features, |dark, feature| {
+        feature * ((dark - FEATURE_FROM) / FEATURE_OVER).clamp(0.0, 1.0)
+    });
+    shade.zip(&dark, f32::max)
+}
+
+/// How near each pixel is to a face, 0 to 1.
+fn nearness(width: usize, height: usize, faces: &[Face]) -> Plane {
+    Plane::from_fn(width, height, |x, y| {
+        let near = faces.iter().map(|face| {
+            let [across, down] = face.relative([x as f64, y as f64]);
+            1.0 / (1.0 + (across.hypot((down + 0.1) / 1.2) as f32 / 1.5).powi(6))
+        });
+        near.fold(0.0, f32::max)
+    })
+}
+
+/// How much each pixel belongs to eyes, brows, nose or mouth, 0 to 1.
+fn features(width: usize, height: usize, faces: &[Face]) -> Plane {
+    Plane::from_fn(width, height, |x, y| {
+        let at = [x as f64, y as f64];
+        let near = faces.iter().filter(|face| face.has_features).map(|face| {
+            let here = face.relative(at);
+            let bell = |place: [f64; 2], size: [f64; 2]| {
+                let away = [0, 1].map(|k| (here[k] - place[k]) / size[k]);
+                (1.0 / (1.0 + away[0].hypot(away[1]).powi(6))) as f32
+            };
+            let eyes = face.eyes.map(|eye| face.relative(eye));
+            let mouth = face.relative(face.mouth);
+            let between = [0, 1].map(|k| 0.5 * (eyes[0][k] + eyes[1][k]));
+            let nose = [0, 1].map(|k| between[k] + 0.6 * (mouth[k] - between[k]));
+            let brows = eyes.map(|[across, down]| bell([across, down - 0.12], [0.40, 0.34]));
+            let others = [bell(mouth, [0.52, 0.24]), bell(nose, [0.34, 0.2])];
+            brows.into_iter().chain(others).fold(0.0, f32::max)
+        });
+        near.fold(0.0, f32::max)
+    })
+}
+
+/// Share of what is drawn that the background leaves. A scene around a small face does not fade: it is the picture.
+fn kept(subject: &Subject, faces: &[Face], [width, height]: [usize; 2], background: Background) -> Plane {
+    let is_whole = match background {
+        Background::Keep => true,
+        Background::Fade => !is_portrait(faces, [width, height]),
+        Background::None => false,
+    };
+    let Some(mask) = subject.mask.as_ref().filter(|_| !is_whole) else {
+        return Plane::filled(width, height, 1.0);
+    };
+    let scale = [width, height].map(|side| side as f32);
+    let scale = [mask.width() as f32 / scale[0], mask.height() as f32 / scale[1]];
+    Plane::from_fn(width, height, |x, y| {
+        let inside = mask.sample((x as f32 + 0.5) * scale[0] - 0.5, (y as f32 + 0.5) * scale[1] - 0.5);
+        let inside = ((inside - 0.25) / 0.5).clamp(0.0, 1.0);
+        if background == Background::None {
+            return inside;
+        }
+        let at = [x as f64, y as f64];
+        let away = faces.iter().map(|face| {
+            let [across, down] = face.relative(at);
+            across.hypot(down)
+        });
+        let away = away.fold(f64::INFINITY, f64::min);
+        let outside = FADE_SHARE * (-(away - FADE_FROM).max(0.0) / FADE_OVER).exp() as f32;
+        inside + (1.0 - inside) * outside
+    })
+}
+
+/// The picture without noise, its edges kept (guided filter, He, Sun and Tang, 2010).
+pub(super) fn denoised(light: &Plane, radius: usize) -> Plane {
+    const NOISE: f32 = 0.03;
+    let mean = light.averaged(radius);
+    let square = light.map(|value| value * value).averaged(radius);
+    let slope = square.zip(&mean, |square, mean| {
+        let variance = (square - mean * mean).max(0.0);
+        variance / (variance + NOISE * NOISE)
+    });
+    let offset = mean.zip(&slope, |mean, slope| mean * (1.0 - slope));
+    let (slope, offset) = (slope.averaged(radius), offset.averaged(radius));
+    slope
+        .zip(light, |slope, value| slope * value)
+        .zip(&offset, |scaled, offset| scaled + offset)
+}
