@@ -68,6 +68,8 @@ fn assert_recovers_with(robot: &mut Robot, meanwhile: impl Fn(&Robot)) {
     robot.wait_for(Mode::DrivesOff);
     assert_eq!(robot.fault(), None);
     if !robot.status.as_ref().unwrap().referenced {
+        // A drive that has just come back has to be seen at rest first.
+        robot.run(50);
         robot.command(Command::Home).unwrap();
         robot.run(100);
     }
@@ -85,6 +87,8 @@ fn assert_recovers_and_draws(robot: &mut Robot) {
     robot.wait_for(Mode::DrivesOff);
     assert_eq!(robot.fault(), None);
     if !robot.status.as_ref().unwrap().referenced {
+        // A drive that has just come back has to be seen at rest first.
+        robot.run(50);
         robot.command(Command::Home).unwrap();
         robot.run(100);
     }
