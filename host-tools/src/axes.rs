@@ -42,12 +42,23 @@ pub const LINEAR: [Unit; 8] = [
     Unit("force_max_n", "torque_max_nm", M_PER_RAD),
 ];
 
+/// Values of `home` of a linear axis, with the table's name before them.
+pub const HOME: [Unit; 4] = [
+    Unit("home.speed_mm_s", "home.speed_rad_s", 1.0 / LINEAR_MM_PER_RAD),
+    Unit("home.latch_mm_s", "home.latch_rad_s", 1.0 / LINEAR_MM_PER_RAD),
+    Unit("home.pull_off_mm", "home.pull_off_rad", 1.0 / LINEAR_MM_PER_RAD),
+    Unit("home.travel_max_mm", "home.travel_max_rad", 1.0 / LINEAR_MM_PER_RAD),
+];
+
 /// The name in a configuration file of a controller's value of an axis, and the factor from the controller's value to the
 /// written one; `None` where both are the same.
 #[must_use]
 pub fn as_written(kind: Kind, axis: usize, name: &str) -> Option<(&'static str, f64)> {
     let is_linear = motion(kind, axis) == Motion::Linear;
-    let unit = LINEAR.iter().find(|Unit(_, to, _)| is_linear && *to == name);
+    let unit = LINEAR
+        .iter()
+        .chain(&HOME)
+        .find(|Unit(_, to, _)| is_linear && *to == name);
     unit.map(|Unit(from, _, factor)| (*from, 1.0 / factor))
 }
 

@@ -297,6 +297,10 @@ impl Fault {
                     }
             );
         }
+        if let (Self::SlaveLost { slave }, Self::SlaveLost { slave: behind }) = (self, known) {
+            // Behind a slave or cable that was lost, all others are lost too.
+            return slave < behind;
+        }
         let is_specific = !matches!(self, Self::SlaveState { al_state, .. } if *al_state == AL_OPERATIONAL);
         let is_vague = matches!(
             known,

@@ -91,6 +91,27 @@ impl Axis {
         ]
     }
 
+    /// Bounds of homing by a switch; without a switch every number is allowed.
+    fn home_bounds(&self) -> [Bound; 4] {
+        let home = &self.home;
+        let within = |name, value: f64, low, high| match home.io {
+            Some(_) => bound(name, value, low, high),
+            None => bound(name, value, f64::MIN, f64::MAX),
+        };
+        let speed_rad_s = home.speed_rad_s.abs();
+        [
+            within(
+                "axes.home.speed_rad_s",
+                speed_rad_s,
+                1.0e-3,
+                self.output_max_rad_s.abs(),
+            ),
+            within("axes.home.latch_rad_s", home.latch_rad_s, 1.0e-4, speed_rad_s),
+            within("axes.home.pull_off_rad", home.pull_off_rad, 1.0e-3, home.travel_max_rad),
+            within("axes.home.travel_max_rad", home.travel_max_rad, 1.0e-2, 100.0),
+        ]
+    }
+
     /// Weakest quick stop that ends within [`QUICK_STOP_MAX_MS`], rad/s2, rounded up to hundredths. The highest speed
     /// of the axis is its speed limit plus the correction that the controller adds before the following error becomes a
     /// fault, at most the output limit.
@@ -103,6 +124,7 @@ impl Axis {
 
     fn scalars(&self, joint_speed_rad_s: f64) -> [Bound; AXIS_BOUNDS] {
         let [vendor, product, revision, alias, switch, serial] = self.identity_bounds(None);
+        let [home_speed, home_latch, home_pull_off, home_travel] = self.home_bounds();
         [
             vendor,
             product,
@@ -110,25 +132,6 @@ impl Axis {
             alias,
             switch,
             serial,
-            bound(
-                "axes.home.speed_rad_s",
-                self.home.speed_rad_s.abs(),
-                1e-3,
-                self.output_max_rad_s.abs(),
-            ),
-            bound(
-                "axes.home.latch_rad_s",
-                self.home.latch_rad_s,
-                1e-4,
-                self.home.speed_rad_s.abs(),
-            ),
-            bound(
-                "axes.home.pull_off_rad",
-                self.home.pull_off_rad,
-                1e-3,
-                self.home.travel_max_rad,
-            ),
-            bound("axes.home.travel_max_rad", self.home.travel_max_rad, 1e-2, 100.0),
             bound("axes.gear", self.gear.abs(), 0.1, 1000.0),
             bound(
                 "axes.increments_per_revolution",
@@ -188,6 +191,10 @@ impl Axis {
                 1000.0,
             ),
             bound("axes.velocity_filter_ms", self.velocity_filter_ms, 0.0, 10.0),
+            home_speed,
+            home_latch,
+            home_pull_off,
+            home_travel,
         ]
     }
 }

@@ -204,7 +204,7 @@ fn one_turn(one_turn: OneTurn) -> CellOptions {
     }
 }
 
-/// Joint angles at which the arms pass an end of their drives' turns in a drawing, with the configuration for them: the
+/// Joint angles at which the joints pass an end of their drives' turns in a drawing, with the configuration for them: the
 /// angles half-way through a drawing.
 fn with_ends_in_a_drawing(speed_mm_s: f64) -> (Config, [f64; AXES]) {
     let mut config = config(speed_mm_s);

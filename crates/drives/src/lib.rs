@@ -4,8 +4,8 @@
 //!
 //! A module imports modules of lower layers only.
 //!
-//! 1. `cia402`: CiA 402 words and states
-//! 2. `position_range`, `io`, `layout`, `homing`, `probe`: range of a position; traits between control and I/O; where values
+//! 1. `cia402`, `position_range`: CiA 402 words and states; range of a position
+//! 2. `io`, `layout`, `homing`, `probe`: traits between control and I/O; where values
 //!    are in process data; homing by the drive; its touch probes
 //! 3. `configuration`: settings and their writing
 //! 4. `generic`: any CiA 402 servo drive

@@ -2,7 +2,6 @@
 //! shows the pose.
 
 use super::ended_by_a_signal;
-use super::reference::Arguments;
 use crate::cell::{Cell, CellOptions};
 use crate::error::{ProgramError, code};
 use crate::job::reference::{Referenced, all};
@@ -41,18 +40,14 @@ impl Host for Simulated {
 ///
 /// # Errors
 /// There is no connection, or the machine could not be homed.
-pub fn at_port(arguments: &Arguments, port: &PortName) -> Result<Referenced, ProgramError> {
+pub fn at_port(config: &Config, port: &PortName) -> Result<Referenced, ProgramError> {
     let own = OwnPort {
-        config: &|| arguments.load_config(),
+        config: &|| Ok(config.clone()),
         interrupted: &ended_by_a_signal,
         tell: &|waiting| eprintln!("{waiting}"),
     };
     let effect = access::carry_out(port, own, Order::Prepare(Ready::Referenced))?;
-    found(
-        &arguments.load_config()?,
-        effect.snapshot.status.as_ref(),
-        effect.snapshot.sample.as_ref(),
-    )
+    found(config, effect.snapshot.status.as_ref(), effect.snapshot.sample.as_ref())
 }
 
 /// Homes the machine of the virtual cell.

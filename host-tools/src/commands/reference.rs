@@ -66,16 +66,6 @@ pub struct Arguments {
     config: ConfigArguments,
 }
 
-impl Arguments {
-    /// Reads and checks the configuration.
-    ///
-    /// # Errors
-    /// The file and the place in it that cannot be used.
-    pub fn load_config(&self) -> Result<Config, ProgramError> {
-        self.config.load()
-    }
-}
-
 /// Numbers with commas between them.
 #[derive(Clone, Copy, Debug)]
 struct Numbers<const N: usize>([f64; N]);
@@ -172,7 +162,7 @@ fn take(arguments: &Arguments, config: &Config, wanted: Wanted) -> Result<Refere
     let at_marks = wanted.pose == Pose::Marks && wanted.position.is_none() && !wanted.calibrate;
     if at_marks && home::has_switches(config) {
         return match arguments.port.find_unless(arguments.simulate.then_some("--simulate"))? {
-            Some(name) => home::at_port(arguments, &name),
+            Some(name) => home::at_port(config, &name),
             None => home::simulated(
                 config,
                 CellOptions {

@@ -119,7 +119,7 @@ pub const TOPICS: [Topic; 4] = [
 macro_rules! modes {
     () => {
         "uint8 STARTUP=0\nuint8 BUS_CONFIGURING=1\nuint8 DRIVES_OFF=2\nuint8 UNREFERENCED=3\nuint8 IDLE=4\n\
-         uint8 MOVING=5\nuint8 DRAWING=6\nuint8 HOLDING=7\nuint8 STOPPING=8\nuint8 FAULT=9\n"
+         uint8 MOVING=5\nuint8 DRAWING=6\nuint8 HOLDING=7\nuint8 STOPPING=8\nuint8 FAULT=9\nuint8 HOMING=10\n"
     };
 }
 

@@ -450,12 +450,12 @@ mod tests {
     #[test]
     fn limits_are_told_in_the_unit_of_their_axis() {
         let limits = |config: &Config| serde_json::to_value(limits(config, &[])).unwrap();
-        let arms = limits(&Config::default());
+        let built_in = limits(&Config::default());
         assert_eq!(
-            (arms.as_array().unwrap().len(), &arms[0]["speed_limit_rad_s"]),
+            (built_in.as_array().unwrap().len(), &built_in[0]["speed_limit_rad_s"]),
             (4, &25.0.into())
         );
-        assert_eq!(arms[0].as_object().unwrap().len(), 6);
+        assert_eq!(built_in[0].as_object().unwrap().len(), 6);
         let mut config = Config {
             geometry: etherpen::robots::Kind::CoreXy.geometry(),
             ..Config::default()

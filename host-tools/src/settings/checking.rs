@@ -465,11 +465,11 @@ mod tests {
 
     #[test]
     fn a_kind_with_the_wrong_number_of_axes_is_named() {
-        let two = GANTRY.replacen(
-            "[[axes]]                     # z: the pen\npitch_mm = 40.0\nsync_mm = -15.0\nmass_kg = 0.8\n",
-            "",
-            1,
-        );
+        let (before, rest) = GANTRY
+            .split_once("[[axes]]                     # z: the pen")
+            .expect("z");
+        let (_, after) = rest.split_once("[bus]").expect("the bus");
+        let two = format!("{before}[bus]{after}");
         let found = finding(&two, "A2", "A2", "[[axes]]");
         assert_eq!(found.gravity, Gravity::Error);
         assert!(
@@ -498,8 +498,8 @@ mod tests {
     fn a_linear_axis_without_pitch_is_named() {
         let found = finding(
             GANTRY,
-            "pitch_mm = 40.0\nsync_mm = 240.0",
-            "sync_mm = 240.0",
+            "# y: the beam\npitch_mm = 40.0\n",
+            "# y: the beam\n",
             "# y: the beam",
         );
         assert!(

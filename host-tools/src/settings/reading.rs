@@ -9,7 +9,7 @@
 //!
 //! Invariant: a message names the line and the value as they are written.
 
-use crate::axes::{LINEAR, Unit};
+use crate::axes::{HOME, LINEAR, Unit};
 use etherpen::config::Config;
 use etherpen::robots::{AXES, Kind, LINEAR_MM_PER_RAD};
 use serde::Deserialize;
@@ -21,14 +21,6 @@ use toml::de::{DeArray, DeTable, DeValue, Deserializer};
 const SHARED: &str = "axis_defaults";
 /// Travel of a linear axis for one turn of its screw or pulley.
 const PITCH: &str = "pitch_mm";
-/// Values of `home` of a linear axis.
-const HOME_LINEAR: [Unit; 4] = [
-    Unit("speed_mm_s", "speed_rad_s", 1.0 / LINEAR_MM_PER_RAD),
-    Unit("latch_mm_s", "latch_rad_s", 1.0 / LINEAR_MM_PER_RAD),
-    Unit("pull_off_mm", "pull_off_rad", 1.0 / LINEAR_MM_PER_RAD),
-    Unit("travel_max_mm", "travel_max_rad", 1.0 / LINEAR_MM_PER_RAD),
-];
-
 /// Lists with a value for each axis, in the axis's own unit: the name in the file and that of the controller's value.
 const OWN_UNITS: [[&str; 2]; 2] = [
     ["joint_speed", "joint_speed_rad_s"],
@@ -240,12 +232,13 @@ impl File<'_> {
         converted: &mut Vec<Converted>,
     ) -> Result<(), ReadingError> {
         let place = Within::Home(number);
-        for Unit(from, to, factor) in HOME_LINEAR.iter().filter(|_| is_linear) {
-            if let Some((written, _)) = home.get_key_value(*to) {
+        for Unit(from, to, factor) in HOME.iter().filter(|_| is_linear) {
+            let [from, to] = [*from, *to].map(|name| name.strip_prefix("home.").unwrap_or(name));
+            if let Some((written, _)) = home.get_key_value(to) {
                 let text = format!("axis {} is linear: write {from} instead of {to}", number + 1);
                 return Err(self.error(written.span().start, text));
             }
-            if let Some(value) = home.get(*from) {
+            if let Some(value) = home.get(from) {
                 let text = format!("{:?}", self.number(value, from)? * factor);
                 converted.push(Converted { place, from, to, text });
             }
