@@ -42,7 +42,7 @@ impl Robot {
     /// Why the text does not describe a robot.
     pub fn parse(text: &str) -> Result<Self, String> {
         let measured: Measured = toml::from_str(text).map_err(|cause| cause.to_string())?;
-        let geometry = measured.geometry().map_err(|cause| cause.to_string())?;
+        let geometry = measured.geometry().map_err(|cause| cause.to_string())?.into();
         Self::of(&geometry, measured.range_rad())
     }
 

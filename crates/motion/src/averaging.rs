@@ -1,11 +1,18 @@
 //! The moving average of the setpoints: its longest length, and the tolerance that remains for shaping.
 
-use super::micro_interpolator::TICK_S;
-use super::shaping::Tolerances;
 use crate::settings::Settings;
 
+/// One millisecond, s.
+pub(crate) const TICK_S: f64 = 1.0e-3;
 /// Largest part of the tolerance that the moving average may use.
 const AVERAGE_PART_MAX: f64 = 0.5;
+
+/// Tolerances for shaping, less the share of the moving average, mm.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Tolerances {
+    pub(crate) drawing_mm: f64,
+    pub(crate) travel_mm: f64,
+}
 
 /// Tolerances for shaping: the configured ones less the part used by the moving average.
 pub(super) fn tolerances(settings: &Settings) -> Tolerances {

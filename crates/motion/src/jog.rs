@@ -5,8 +5,9 @@
 //! the robot is outside already and moves inwards. When the command is not repeated within the dead-man time, the
 //! wanted velocity becomes zero. A jog whose direction is blocked is refused at the start.
 
+use super::averaging::TICK_S;
 use super::limits::Limits;
-use super::micro_interpolator::{PathSample, TICK_S};
+use super::micro_interpolator::PathSample;
 use super::scan::Row;
 use super::shaping::Label;
 use super::work_area::{Outside, WorkArea};

@@ -4,16 +4,18 @@
 //!
 //! A module imports modules of lower layers only.
 //!
-//! 1. `bounds`, `ring`, `committed`: bounds of a value; a ring buffer; the executed motion for other programs
+//! 1. `bounds`, `ring`, `committed`, `work_volume`: bounds of a value; a ring buffer; the executed motion for other programs;
+//!    the space of a tool
 //! 2. `robots`: kinds of robots and their kinematics
 //! 3. `settings`, `curve`: settings of motion; lines and blends
-//! 4. `limits`, `work_area`, `shaping`: limits along a path; the space that a robot may use; the polyline with rounded
+//! 4. `averaging`: moving average
+//! 5. `limits`, `work_area`, `shaping`: limits along a path; the space that a robot may use; the polyline with rounded
 //!    corners
-//! 5. `scan`, `micro_interpolator`, `heading`: the fastest speed over a grid; 1 ms setpoints; angle of the fourth axis
-//! 6. `grid`, `averaging`, `progress`, `jog`, `straight`: points of a path; moving average; motions without a path
-//! 7. `stretches`, `admission`, `outline`: parts of a plan; checks of vertices; the shaped path for other programs
-//! 8. `plan`: speeds along the known path, down to rest at its end
-//! 9. `trajectory`: the trajectory stage with its commands
+//! 6. `scan`, `micro_interpolator`, `heading`: the fastest speed over a grid; 1 ms setpoints; angle of the fourth axis
+//! 7. `grid`, `progress`, `jog`, `straight`: points of a path; motions without a path
+//! 8. `stretches`, `admission`, `outline`: parts of a plan; checks of vertices; the shaped path for other programs
+//! 9. `plan`: speeds along the known path, down to rest at its end
+//! 10. `trajectory`: the trajectory stage with its commands
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -46,6 +48,7 @@ mod straight;
 mod stretches;
 mod trajectory;
 mod work_area;
+mod work_volume;
 
 pub use admission::{Admission, LEG_CHECK_MM, LEG_MIN_MM};
 pub use committed::{Observer, Passage};

@@ -8,6 +8,7 @@
 //! Invariant: velocities are the exact differences of the averaged positions. The sums are integers, so they do not
 //! drift however long the program runs.
 
+use super::averaging::TICK_S;
 use super::shaping::Label;
 use super::{PERIOD_MS, Setpoint};
 use crate::robots::vector::{Vector, root};
@@ -17,8 +18,6 @@ use crate::robots::{AXES, JointAngles, Kinematics, MAIN_AXES};
 pub(crate) const WINDOW_MAX: usize = 32;
 /// Units per radian in which the sums count: 2^40.
 const PARTS_PER_RAD: f64 = 1_099_511_627_776.0;
-/// One millisecond, s.
-pub(crate) const TICK_S: f64 = 1.0e-3;
 /// Bound on the relative rounding error of a difference of squared speeds.
 const ROUNDED: f64 = 1.0e-12;
 /// Largest angle that can be represented, rad.

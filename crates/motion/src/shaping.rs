@@ -8,7 +8,7 @@
 //! Invariant: position, direction and curvature are continuous everywhere but at exact stops.
 
 use super::Pen;
-use super::averaging::tolerances;
+use super::averaging::{Tolerances, tolerances};
 use super::curve::{self, BlendShape, Curve};
 use super::ring::Ring;
 use crate::robots::vector::{Vector, add, dot, length, scale, subtract};
@@ -161,13 +161,6 @@ impl Piece {
     pub(crate) fn lifts(&self) -> bool {
         !(self.entry.pen == Pen::Down && self.exit.pen == Pen::Down)
     }
-}
-
-/// Tolerances for shaping, less the share of the moving average, mm.
-#[derive(Clone, Copy, Debug)]
-pub(crate) struct Tolerances {
-    pub(crate) drawing_mm: f64,
-    pub(crate) travel_mm: f64,
 }
 
 /// How the path passes a vertex.

@@ -5,8 +5,9 @@
 //! limit covers the acceleration along the line and the other half its curvature in joint space, at every checked
 //! point. That is slower than the plan's scan, but needs no look-ahead and can be stopped at any time.
 
+use super::averaging::TICK_S;
 use super::limits::Limits;
-use super::micro_interpolator::{PathSample, TICK_S};
+use super::micro_interpolator::PathSample;
 use super::scan::Row;
 use super::shaping::Label;
 use crate::robots::Kinematics;

@@ -8,11 +8,11 @@
 //! command leads from one rest to the next within the limits.
 
 use super::admission::{LEG_MIN_MM, check_way_in};
-use super::averaging::averaging;
+use super::averaging::{TICK_S, averaging};
 use super::committed::Observer;
 use super::jog::{self, Jog};
 use super::limits::Limits;
-use super::micro_interpolator::{MicroInterpolator, PathSample, Profile, TICK_S};
+use super::micro_interpolator::{MicroInterpolator, PathSample, Profile};
 use super::plan::{GROWTH, Pace, Plan};
 use super::progress::Watch;
 use super::ring::Ring;

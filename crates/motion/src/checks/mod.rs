@@ -16,7 +16,7 @@ mod tolerance;
 
 extern crate std;
 
-use super::micro_interpolator::TICK_S;
+use super::averaging::TICK_S;
 use super::*;
 use crate::random::Random;
 use crate::robots::vector::{Vector, add_scaled, dot, length, subtract};

@@ -5,12 +5,12 @@
 //!
 //! Invariant: a result is finite or an error; no input panics.
 
-use super::geometry::GeometryError;
+use super::errors::GeometryError;
 use super::linear::{BELT_LIMITS, LIFT_LIMITS, Linear, WHEEL, angles_rad, check_stroke};
 use super::vector::Vector;
 use super::{ConditioningMin, JointAngles, JointRanges, JointRows, KinematicsError, MAIN_AXES, Position, Words};
 use crate::bounds::{Bound, bound};
-use crate::settings::WorkVolume;
+use crate::work_volume::WorkVolume;
 use serde::{Deserialize, Serialize};
 
 /// Nouns for messages.

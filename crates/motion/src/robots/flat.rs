@@ -3,7 +3,7 @@
 //! The kind may stand anywhere among the keys, so the values are kept until all have been read. Then the kind's own type
 //! reads them: it fills what is missing and refuses a key that it does not have, by its name.
 
-use super::geometry::Kind;
+use super::kind::Kind;
 use core::fmt;
 use core::marker::PhantomData;
 use heapless::{String, Vec};

@@ -4,72 +4,17 @@
 //! kind; without a kind the dimensions are a delta robot's. A message numbers the kinds in the order of [`Kind`].
 
 use super::corexy::CoreXyGeometry;
-use super::delta::{DeltaError, DeltaGeometry};
+use super::delta::DeltaGeometry;
 use super::gantry::GantryGeometry;
-use super::linear_delta::{LinearDeltaError, LinearDeltaGeometry};
-use super::scara::{ScaraError, ScaraGeometry};
-use super::{AXES, MAIN_AXES, flat};
+use super::kind::Kind;
+use super::linear_delta::LinearDeltaGeometry;
+use super::scara::ScaraGeometry;
+use super::{MAIN_AXES, flat};
 use crate::bounds::{Bound, bound};
-use crate::settings::WorkVolume;
-use core::fmt;
+use crate::work_volume::WorkVolume;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
-/// A kind of robot.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum Kind {
-    /// A delta robot.
-    #[default]
-    Delta,
-    /// A gantry: three linear axes at right angles.
-    Gantry,
-    /// Two crossed belts for x and y, and a linear axis for z.
-    #[serde(rename = "corexy")]
-    CoreXy,
-    /// A SCARA: two links that turn in the horizontal plane, and a linear axis for z.
-    Scara,
-    /// A linear delta.
-    LinearDelta,
-}
-
 impl Kind {
-    /// All kinds.
-    pub const ALL: [Self; 5] = [Self::Delta, Self::Gantry, Self::CoreXy, Self::Scara, Self::LinearDelta];
-
-    /// The name in configuration files.
-    #[must_use]
-    pub fn name(self) -> &'static str {
-        match self {
-            Self::Delta => "delta",
-            Self::Gantry => "gantry",
-            Self::CoreXy => "corexy",
-            Self::Scara => "scara",
-            Self::LinearDelta => "linear-delta",
-        }
-    }
-
-    /// The kind of this name, see [`Self::name`].
-    #[must_use]
-    pub fn named(name: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|kind| kind.name() == name)
-    }
-
-    /// Which axes are linear.
-    #[must_use]
-    pub fn linear_axes(self) -> [bool; AXES] {
-        match self {
-            Self::Delta => [false; AXES],
-            Self::Scara => [false, false, true, false],
-            Self::Gantry | Self::CoreXy | Self::LinearDelta => [true, true, true, false],
-        }
-    }
-
-    /// Whether the third main axis is the tool's height, and moves nothing else.
-    #[must_use]
-    pub fn has_height_axis(self) -> bool {
-        matches!(self, Self::Gantry | Self::CoreXy | Self::Scara)
-    }
-
     /// Dimensions of a usual machine of this kind.
     #[must_use]
     pub fn geometry(self) -> Geometry {
@@ -140,6 +85,12 @@ impl<'de> Deserialize<'de> for Geometry {
             Kind::Scara => Self::Scara(rest.into_dimensions()?),
             Kind::LinearDelta => Self::LinearDelta(rest.into_dimensions()?),
         })
+    }
+}
+
+impl From<DeltaGeometry> for Geometry {
+    fn from(geometry: DeltaGeometry) -> Self {
+        Self::Delta(geometry)
     }
 }
 
@@ -310,52 +261,6 @@ fn corner_mm(x_mm: [f64; 2], y_mm: [f64; 2]) -> f64 {
     let farthest = |[low, high]: [f64; 2]| low.abs().max(high.abs());
     libm::hypot(farthest(x_mm), farthest(y_mm))
 }
-
-/// Why dimensions do not form a valid robot.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum GeometryError {
-    /// A value is not a finite number.
-    NotFinite,
-    /// The range of a turning joint is empty.
-    Range {
-        /// Lower end, rad.
-        low_rad: f64,
-        /// Upper end, rad.
-        high_rad: f64,
-    },
-    /// The range of a linear axis is empty.
-    Stroke {
-        /// Lower end, mm.
-        low_mm: f64,
-        /// Upper end, mm.
-        high_mm: f64,
-    },
-    /// The dimensions do not form a delta robot.
-    Delta(DeltaError),
-    /// The dimensions do not form a SCARA.
-    Scara(ScaraError),
-    /// The dimensions do not form a linear delta.
-    LinearDelta(LinearDeltaError),
-}
-
-impl fmt::Display for GeometryError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::NotFinite => f.write_str("a value is no finite number"),
-            Self::Range { low_rad, high_rad } => {
-                write!(f, "the range of a joint from {low_rad} to {high_rad} rad is empty")
-            }
-            Self::Stroke { low_mm, high_mm } => {
-                write!(f, "the range of an axis from {low_mm} to {high_mm} mm is empty")
-            }
-            Self::Delta(error) => error.fmt(f),
-            Self::Scara(error) => error.fmt(f),
-            Self::LinearDelta(error) => error.fmt(f),
-        }
-    }
-}
-
-impl core::error::Error for GeometryError {}
 
 #[cfg(test)]
 mod tests {

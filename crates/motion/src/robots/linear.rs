@@ -1,7 +1,7 @@
 //! Linear axes: the joint is a wheel that rolls along the axis, and its angle stands for a length.
 
 use super::LINEAR_MM_PER_RAD;
-use super::geometry::GeometryError;
+use super::errors::GeometryError;
 
 /// A range that ends at no position that a machine has, mm.
 pub(super) const ENDLESS_MM: [f64; 2] = [-1.0e6, 1.0e6];

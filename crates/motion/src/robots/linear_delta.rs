@@ -6,7 +6,7 @@
 //!
 //! Invariant: a result is finite or an error; no input panics.
 
-use super::geometry::GeometryError;
+use super::errors::{GeometryError, LinearDeltaError};
 use super::linear::{BELT_LIMITS, Linear, WHEEL, angles_rad, check_stroke};
 use super::spheres::lower_meeting;
 use super::vector::{Vector, cross, dot, root, scale};
@@ -15,8 +15,7 @@ use super::{
     RATIO_SINGULAR, Words,
 };
 use crate::bounds::{Bound, bound};
-use crate::settings::WorkVolume;
-use core::fmt;
+use crate::work_volume::WorkVolume;
 use serde::{Deserialize, Serialize};
 
 /// Number of towers, whose carriages are the main axes.
@@ -69,49 +68,6 @@ impl Default for LinearDeltaGeometry {
             carriage_range_mm: [60.0, 560.0],
             margin_mm: 1.0,
             turn_range_rad: [-6_283.0, 6_283.0],
-        }
-    }
-}
-
-/// Why dimensions do not form a valid linear delta.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum LinearDeltaError {
-    /// The radius is not positive, or the rods are not longer than the radius.
-    Rods {
-        /// Length of a rod, mm.
-        rod_mm: f64,
-        /// Distance that the rods bridge with the platform in the middle, mm.
-        radius_mm: f64,
-    },
-    /// The azimuths of two towers are equal or opposite.
-    Towers {
-        /// The first of the two, degrees.
-        first_deg: f64,
-        /// The second, degrees.
-        second_deg: f64,
-    },
-}
-
-impl From<LinearDeltaError> for GeometryError {
-    fn from(error: LinearDeltaError) -> Self {
-        Self::LinearDelta(error)
-    }
-}
-
-impl fmt::Display for LinearDeltaError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Rods { rod_mm, radius_mm } => write!(
-                f,
-                "rods of {rod_mm} mm at a radius of {radius_mm} mm; the radius has to be larger than 0, and the rods \
-                 longer than the radius"
-            ),
-            Self::Towers { first_deg, second_deg } => {
-                write!(
-                    f,
-                    "towers at {first_deg} and {second_deg} degrees are in line with the axis"
-                )
-            }
         }
     }
 }

@@ -10,10 +10,12 @@
 
 mod corexy;
 mod delta;
+mod errors;
 mod flat;
 mod gantry;
 pub(crate) mod geometry;
 pub(crate) mod joint_ranges;
+mod kind;
 mod linear;
 mod linear_delta;
 mod scara;
@@ -23,11 +25,13 @@ mod tests;
 pub mod vector;
 
 pub use corexy::CoreXyGeometry;
-pub use delta::{DeltaError, DeltaGeometry, Measured, MeasuredError};
+pub use delta::{DeltaGeometry, Measured, MeasuredError};
+pub use errors::{DeltaError, GeometryError, LinearDeltaError, ScaraError};
 pub use gantry::GantryGeometry;
-pub use geometry::{Geometry, GeometryError, Kind};
-pub use linear_delta::{LinearDeltaError, LinearDeltaGeometry};
-pub use scara::{ScaraError, ScaraGeometry};
+pub use geometry::Geometry;
+pub use kind::Kind;
+pub use linear_delta::LinearDeltaGeometry;
+pub use scara::ScaraGeometry;
 
 use corexy::CoreXy;
 use delta::Delta;

@@ -6,7 +6,7 @@
 //!
 //! Invariant: a result is finite or an error; no input panics.
 
-use super::geometry::GeometryError;
+use super::errors::{GeometryError, ScaraError};
 use super::linear::{Linear, WHEEL, angles_rad, check_stroke};
 use super::vector::{Vector, root};
 use super::{
@@ -14,9 +14,8 @@ use super::{
     RATIO_SINGULAR, Words,
 };
 use crate::bounds::{Bound, bound};
-use crate::settings::WorkVolume;
+use crate::work_volume::WorkVolume;
 use core::f64::consts::{PI, TAU};
-use core::fmt;
 use serde::{Deserialize, Serialize};
 
 /// Joint of the elbow, from 0.
@@ -74,44 +73,6 @@ impl Default for ScaraGeometry {
             z_range_mm: [-150.0, 0.0],
             z_margin_mm: 1.0,
             turn_range_rad: [-6.3, 6.3],
-        }
-    }
-}
-
-/// Why dimensions do not form a valid SCARA.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum ScaraError {
-    /// A link's length is not positive.
-    Lengths {
-        /// From shoulder to elbow, mm.
-        inner_link_mm: f64,
-        /// From elbow to tool, mm.
-        outer_link_mm: f64,
-    },
-    /// The elbow's side is neither 1 nor -1.
-    Elbow {
-        /// The configured side.
-        elbow: i8,
-    },
-}
-
-impl From<ScaraError> for GeometryError {
-    fn from(error: ScaraError) -> Self {
-        Self::Scara(error)
-    }
-}
-
-impl fmt::Display for ScaraError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Lengths {
-                inner_link_mm,
-                outer_link_mm,
-            } => write!(
-                f,
-                "links of {inner_link_mm} mm and {outer_link_mm} mm; both have to be longer than 0"
-            ),
-            Self::Elbow { elbow } => write!(f, "the elbow's side is {elbow}; it has to be 1 or -1"),
         }
     }
 }

@@ -2,7 +2,6 @@
 
 use crate::bounds::{Bound, bound};
 use crate::robots::MAIN_AXES;
-use crate::robots::geometry::{Geometry, GeometryError};
 use core::f64::consts::PI;
 use core::fmt;
 use serde::{Deserialize, Serialize};
@@ -105,49 +104,6 @@ impl DeltaGeometry {
     }
 }
 
-/// Why lengths and azimuths do not form a valid delta robot.
-#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
-pub enum DeltaError {
-    /// An arm's length is not positive, or the forearm is not longer than the upper arm.
-    Lengths {
-        /// Upper arm, mm.
-        upper_arm_mm: f64,
-        /// Forearm, mm.
-        forearm_mm: f64,
-    },
-    /// The azimuths of two arms are equal or opposite.
-    Azimuths {
-        /// The first of the two, degrees.
-        first_deg: f64,
-        /// The second, degrees.
-        second_deg: f64,
-    },
-}
-
-impl From<DeltaError> for GeometryError {
-    fn from(error: DeltaError) -> Self {
-        Self::Delta(error)
-    }
-}
-
-impl fmt::Display for DeltaError {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        match self {
-            Self::Lengths {
-                upper_arm_mm,
-                forearm_mm,
-            } => write!(
-                f,
-                "upper arms of {upper_arm_mm} mm and forearms of {forearm_mm} mm; both have to be longer than 0, and \
-                 the forearm the longer one"
-            ),
-            Self::Azimuths { first_deg, second_deg } => {
-                write!(f, "arms at {first_deg} and {second_deg} degrees move in the same plane")
-            }
-        }
-    }
-}
-
 /// Dimensions as a file of measurements gives them: radii, or sides of the equilateral triangles of base and platform.
 #[derive(Debug, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -205,7 +161,7 @@ impl Measured {
     ///
     /// # Errors
     /// A size is missing, given twice or negative.
-    pub fn geometry(&self) -> Result<Geometry, MeasuredError> {
+    pub fn geometry(&self) -> Result<DeltaGeometry, MeasuredError> {
         // From the centre of the base's triangle to a side, of the platform's to a corner.
         let (to_side, to_corner) = (HALF_ROOT_OF_THREE / 3.0, 2.0 * HALF_ROOT_OF_THREE / 3.0);
         let base_radius_mm = radius("base", self.base_radius_mm, self.base_side_mm, to_side)?;
@@ -224,13 +180,13 @@ impl Measured {
             arm_azimuths_deg: self.arm_azimuths_deg.unwrap_or(defaults.arm_azimuths_deg),
             ..defaults
         };
-        Ok(Geometry::Delta(match self.arm_range_rad {
+        Ok(match self.arm_range_rad {
             Some(arm_range_rad) => DeltaGeometry {
                 arm_range_rad,
                 ..geometry
             },
             None => geometry.without_ranges(),
-        }))
+        })
     }
 }
 
@@ -277,9 +233,7 @@ mod tests {
 
     #[test]
     fn triangles_give_the_radii() {
-        let Ok(Geometry::Delta(geometry)) = TRIANGLES.geometry() else {
-            panic!("{:?}", TRIANGLES.geometry());
-        };
+        let geometry = TRIANGLES.geometry().unwrap();
         assert!((geometry.base_radius_mm - 200.0).abs() < 1.0e-9);
         assert!((geometry.platform_radius_mm - 45.0).abs() < 1.0e-9);
         assert_eq!(geometry.arm_azimuths_deg, [0.0, 120.0, 240.0]);

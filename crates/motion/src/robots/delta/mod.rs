@@ -9,9 +9,9 @@
 
 mod geometry;
 
-pub use geometry::{DeltaError, DeltaGeometry, Measured, MeasuredError};
+pub use geometry::{DeltaGeometry, Measured, MeasuredError};
 
-use super::geometry::GeometryError;
+use super::errors::{DeltaError, GeometryError};
 use super::joint_ranges::JointRanges;
 use super::spheres::lower_meeting;
 use super::vector::{Vector, cross, dot, root, scale};

@@ -1,0 +1,61 @@
+//! The kinds of robots by name.
+
+use super::AXES;
+use serde::{Deserialize, Serialize};
+
+/// A kind of robot.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Kind {
+    /// A delta robot.
+    #[default]
+    Delta,
+    /// A gantry: three linear axes at right angles.
+    Gantry,
+    /// Two crossed belts for x and y, and a linear axis for z.
+    #[serde(rename = "corexy")]
+    CoreXy,
+    /// A SCARA: two links that turn in the horizontal plane, and a linear axis for z.
+    Scara,
+    /// A linear delta.
+    LinearDelta,
+}
+
+impl Kind {
+    /// All kinds.
+    pub const ALL: [Self; 5] = [Self::Delta, Self::Gantry, Self::CoreXy, Self::Scara, Self::LinearDelta];
+
+    /// The name in configuration files.
+    #[must_use]
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Delta => "delta",
+            Self::Gantry => "gantry",
+            Self::CoreXy => "corexy",
+            Self::Scara => "scara",
+            Self::LinearDelta => "linear-delta",
+        }
+    }
+
+    /// The kind of this name, see [`Self::name`].
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+
+    /// Which axes are linear.
+    #[must_use]
+    pub fn linear_axes(self) -> [bool; AXES] {
+        match self {
+            Self::Delta => [false; AXES],
+            Self::Scara => [false, false, true, false],
+            Self::Gantry | Self::CoreXy | Self::LinearDelta => [true, true, true, false],
+        }
+    }
+
+    /// Whether the third main axis is the tool's height, and moves nothing else.
+    #[must_use]
+    pub fn has_height_axis(self) -> bool {
+        matches!(self, Self::Gantry | Self::CoreXy | Self::Scara)
+    }
+}
