@@ -358,8 +358,10 @@ mod tests {
     use super::*;
 
     fn machine(kind: Kind, drives: u8) -> Config {
-        let mut config = Config::default();
-        config.geometry = kind.geometry();
+        let mut config = Config {
+            geometry: kind.geometry(),
+            ..Config::default()
+        };
         config.bus.drives = drives;
         config
     }

@@ -89,9 +89,12 @@ fn an_axis_that_stands_at_its_switch_leaves_it_first() {
     assert_knows_its_pose(&mut robot);
 }
 
+/// Makes a switch fail, or mends it.
+type Failing = fn(&mut Robot, bool);
+
 #[test]
 fn each_failure_of_a_switch_ends_at_standstill_with_its_cause_and_the_machine_comes_back() {
-    let failures: [(&str, SearchFailure, fn(&mut Robot, bool)); 2] = [
+    let failures: [(&str, SearchFailure, Failing); 2] = [
         ("the wires are broken", SearchFailure::StaysOpen, |robot, fails| {
             robot.change_cell(|cell| cell.break_switches(fails));
         }),

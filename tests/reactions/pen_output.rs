@@ -54,9 +54,12 @@ fn drawing(speed_mm_s: f64) -> Robot {
     robot
 }
 
+/// Stops the machine.
+type Stopping = fn(&mut Robot);
+
 #[test]
 fn the_pen_is_off_at_once_at_a_stop_a_drive_fault_and_a_lost_terminal_and_stays_up_when_power_comes_back() {
-    let stops: [(&str, fn(&mut Robot)); 4] = [
+    let stops: [(&str, Stopping); 4] = [
         ("stop", |robot| robot.command(Command::Stop).unwrap()),
         ("drive fault", |robot| robot.inject(CellFault::Drive(4, 0x2310))),
         ("emergency stop", |robot| robot.set_inputs(2, 0)),
