@@ -304,7 +304,7 @@ fn akd() -> Description {
     }
 }
 
-/// The same drive with a memory whose categories run past its end: a sound one and two of the maker are in front.
+/// A drive with a memory whose categories run past its end: a sound one and two of the maker are in front.
 fn damaged_akd() -> Description {
     let mut categories = akd().categories;
     categories.truncate(2);

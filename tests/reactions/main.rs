@@ -83,17 +83,7 @@ fn assert_recovers_with(robot: &mut Robot, meanwhile: impl Fn(&Robot)) {
 
 /// Acknowledges, powers up again and draws to the end.
 fn assert_recovers_and_draws(robot: &mut Robot) {
-    robot.command(Command::Acknowledge).unwrap();
-    robot.wait_for(Mode::DrivesOff);
-    assert_eq!(robot.fault(), None);
-    if !robot.status.as_ref().unwrap().referenced {
-        // A drive that has just come back has to be seen at rest first.
-        robot.run(50);
-        robot.command(Command::Home).unwrap();
-        robot.run(100);
-    }
-    robot.command(Command::Enable).unwrap();
-    robot.wait_for(Mode::Idle);
+    assert_recovers_with(robot, |_| {});
     robot.draw(path());
     robot.run_until("the path is executed", |robot| {
         robot.ack.finished && robot.mode() == Mode::Idle

@@ -3,7 +3,7 @@
 //! The file is the bundled machine of the same kind with its comments, and other numbers. Work area and sheet follow the
 //! sizes.
 //!
-//! Invariant: the text has no error of [`check`](super::checking::check), or none is returned.
+//! Invariant: the text has no error of [`check`], or none is returned.
 
 use super::checking::{Gravity, check};
 use super::machines::MACHINES;
