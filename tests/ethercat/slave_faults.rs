@@ -468,6 +468,40 @@ fn another_product_in_a_slaves_place_is_refused_until_the_right_one_is_back() {
 }
 
 #[test]
+fn a_drive_that_only_its_device_type_tells_is_replaced_by_one_with_another_serial_number() {
+    for slave in 1..=AXES {
+        let mut rig = idle_rig_of(CellOptions {
+            slaves: vec![SlaveKind::Cia402; AXES],
+            ..CellOptions::default()
+        });
+        rig.start();
+        rig.operational();
+        rig.run_ms(50);
+        // The first of the refused ones goes to PREOP only at the second try: nobody can ask it before.
+        for refuses in [true, false] {
+            rig.cell.inject(Fault::Swap(slave, Product::Cia402));
+            if refuses {
+                rig.cell
+                    .inject(Fault::Refuse(slave, cell::AlState::PreOperational, 0x0016));
+            }
+            rig.wait_for(NOTICED_MAX_MS, |event| {
+                matches!(event, BusEvent::SlaveLost { .. } | BusEvent::SlaveLeft { .. })
+            });
+            rig.run_ms(100);
+            rig.recover();
+            if refuses {
+                let (position, error) = refusal(&mut rig).expect("it refuses");
+                assert_eq!(position, Some(slave as u8 - 1));
+                assert!(matches!(error, BusError::State { code: 0x0016, .. }), "{error:?}");
+                rig.recover();
+            }
+            rig.operational();
+            assert_well(&mut rig, "the new drive");
+        }
+    }
+}
+
+#[test]
 fn an_extra_slave_is_reported_and_gets_no_process_data() {
     let mut rig = idle_rig_of(CellOptions {
         slaves: vec![SlaveKind::Ax2000; AXES + 1],

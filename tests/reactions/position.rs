@@ -1,13 +1,14 @@
 //! Position mode with faults: what the motors and the ink do when targets are missing, late or false, and afterwards.
 
 use crate::feedback::{apart_mm, with};
+use crate::liveness::come_back;
 use crate::robot::Robot;
 use crate::{STILL_RAD_S, assert_described_standstill, assert_recovers_and_draws, path};
 use etherpen::application::{Fault, Mode};
 use etherpen::config::{AxisMode, Config};
 use etherpen::messages::Command;
 use etherpen::robots::AXES;
-use host_tools::cell::{CellOptions, DriveState, Fault as CellFault, InkStroke, OneTurn, PlaceOptions, ResolverFault};
+use host_tools::cell::{CellOptions, DriveState, Fault as CellFault, InkStroke, OneTurn, PlaceOptions, Product, ResolverFault};
 use std::f64::consts::TAU;
 
 /// Speeds of the pen on the paper, mm/s: slow, and the fastest that the drawing reaches.
@@ -164,6 +165,18 @@ fn whatever_stops_the_robot_in_position_mode_the_next_drawing_comes_out_right() 
             let limit_mm = AFTERWARDS_MM + 0.5e-3 * speed_mm_s;
             assert!(apart_mm < limit_mm, "{what}: {apart_mm} mm");
         }
+    }
+}
+
+#[test]
+fn a_drive_replaced_by_another_of_its_kind_is_homed_and_draws() {
+    let config = config(SPEEDS_MM_S[0]);
+    for slave in [1, 4] {
+        let mut robot = Robot::idle_with(&config).in_a_drawing();
+        robot.inject(CellFault::Swap(slave, Product::Cia402));
+        robot.run_until("a fault is told", |robot| robot.mode() == Mode::Fault);
+        robot.run(1_000);
+        come_back(&mut robot, 2);
     }
 }
 

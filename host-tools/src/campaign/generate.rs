@@ -366,6 +366,7 @@ const POSITION_SEED: u64 = 0x0005_1710_0000;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cell::SlaveKind;
 
     #[test]
     fn every_episode_has_a_valid_configuration_and_drawings() {
@@ -393,6 +394,18 @@ mod tests {
                     What::Reconnect | What::Unplug(_) | What::Noise(..)
                 ));
             }
+        }
+    }
+
+    #[test]
+    fn terminals_are_behind_the_drives_so_that_the_numbers_of_slaves_are_those_of_the_axes() {
+        for seed in 0..50 {
+            let episode = episode(seed, Profile::Terminals);
+            let config = episode.configuration().unwrap_or_else(|cause| panic!("{cause}"));
+            let chain = crate::cell::usual_slaves(&config);
+            let (drives, terminals) = chain.split_at(config.axes.len());
+            assert!(drives.iter().all(|kind| kind.is_drive()), "{chain:?}");
+            assert_eq!(terminals, [SlaveKind::Ek1100, SlaveKind::El2008, SlaveKind::El1008]);
         }
     }
 

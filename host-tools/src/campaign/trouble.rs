@@ -56,8 +56,8 @@ pub(super) fn of_the_bus(chance: &mut Chance) -> String {
     }
 }
 
-/// The first of two terminals behind the drives, from 1.
-pub(super) const TERMINAL: u64 = 5;
+/// The first of two terminals behind the drives and a coupler, from 1.
+pub(super) const TERMINAL: u64 = 6;
 
 /// A fault of a terminal behind the drives, or of the outputs on the way to all slaves.
 pub(super) fn of_a_terminal(chance: &mut Chance) -> String {

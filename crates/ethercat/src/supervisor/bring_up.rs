@@ -4,13 +4,12 @@
 //!
 //! Invariant: only members and terminals leave INIT here; a slave goes up one state at a time.
 
-use super::super::acyclic::{AcyclicPort, Request};
+use super::super::acyclic::Request;
 use super::super::clock::{self, BusClocks};
-use super::super::coe::{DEVICE_TYPE, ObjectDictionary};
 use super::super::configure::discovery::STATION_BASE;
 use super::super::configure::{PreOperational, discovery, information, own_data};
 use super::super::cyclic::{ExchangeKind, ValueBit};
-use super::super::driver::{Direction, ProcessData, SlaveFactory, is_asked_for_device_type};
+use super::super::driver::{Direction, ProcessData, SlaveFactory};
 use super::super::error::BusError;
 use super::super::event::{BusEvent, Step, WantedValue};
 use super::super::mailbox::Mailbox;
@@ -20,8 +19,8 @@ use super::super::slave_set::SlaveSet;
 use super::super::state::{self, AlReport, AlState};
 use super::super::wire::sii::PROTOCOL_COE;
 use super::super::wire::{Address, Command, register, sii};
-use super::Failure;
 use super::bus::Bus;
+use super::{Failure, identity};
 
 /// Longest wait for the expected number of slaves, ms.
 pub const DISCOVERY_TIMEOUT_MS: u32 = 3_000;
@@ -53,7 +52,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             .map_err(Failure::bus(Step::Reset))?;
         let unread = self.identify_all(found).await?;
         for slave in self.slaves.iter_mut().filter(|slave| slave.device.is_none()) {
-            slave.device = ask_device_type(&mut self.port, slave).await;
+            // One that does not answer has no driver until it is asked again.
+            slave.device = identity::ask_device_type(&mut self.port, slave).await.ok().flatten();
         }
         if let Err(error) = self.choose_members() {
             // A member may be missing because it could not be read.
@@ -509,28 +509,4 @@ fn shared_output(wanted: &[WantedValue], bits: &[ValueBit], place: u8) -> Option
         let shares = before.find(|(_, other)| other.start < bits.end && bits.start < other.end);
         shares.map(|(first, _)| (first, second))
     })
-}
-
-/// Asks a slave with an unknown product for its device type, and leaves the slave in INIT; `None` if there is no driver
-/// for it, or it does not answer.
-async fn ask_device_type<F: SlaveFactory, const MESSAGE: usize>(
-    port: &mut AcyclicPort<'_, MESSAGE>,
-    slave: &Slave<F>,
-) -> Option<F::Device> {
-    if !is_asked_for_device_type::<F>(&slave.fixed) {
-        return None;
-    }
-    let station = slave.station();
-    let mut mailbox = Mailbox::new::<MESSAGE>(station, slave.fixed.mailbox_out, slave.fixed.mailbox_in).ok()?;
-    discovery::mailbox_managers(port, station, &slave.fixed).await.ok()?;
-    let device_type = match state::change(port, station, AlState::PreOperational).await {
-        Ok(()) => ObjectDictionary::new(port, &mut mailbox)
-            .read(DEVICE_TYPE, 4)
-            .await
-            .ok(),
-        Err(_) => None,
-    };
-    // A slave that does not return to INIT is detected when it is used.
-    let _ = state::change(port, station, AlState::Init).await;
-    F::by_device_type(device_type?)
 }

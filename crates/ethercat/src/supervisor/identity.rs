@@ -7,12 +7,16 @@
 //! Invariant: a slave that differs from what is expected at its place is not used; the refusal names the place, and the
 //! other one if the slave there is the expected one, or the slave here is expected there.
 
+use super::super::acyclic::AcyclicPort;
+use super::super::coe::{DEVICE_TYPE, ObjectDictionary};
+use super::super::configure::discovery;
 use super::super::configure::identification::{self, ExpectedIdentity, KnownIdentity};
-use super::super::driver::SlaveFactory;
+use super::super::driver::{SlaveFactory, is_asked_for_device_type};
 use super::super::error::BusError;
 use super::super::event::Step;
+use super::super::mailbox::Mailbox;
 use super::super::slave::Slave;
-use super::super::state;
+use super::super::state::{self, AlState};
 use super::super::wire::sii::Identity;
 use super::Failure;
 use super::bus::Bus;
@@ -26,6 +30,29 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let mut places = self.setup.identities.iter().filter(|_| slave.is_terminal);
         let here = places.find(|place| u16::from(place.slave) == slave.position);
         here.map_or(ExpectedIdentity::ANY, |place| place.identity)
+    }
+
+    /// Finds the driver of a member that has been exchanged for a slave with another identity; such a one may be known by
+    /// its device type only.
+    pub(super) async fn recognise(&mut self, number: usize) -> Result<(), Failure> {
+        let is_unknown = |slave: &&Slave<F>| slave.member.is_some() && slave.device.is_none();
+        let Some(slave) = self.slaves.get(number).filter(is_unknown) else {
+            return Ok(());
+        };
+        let at = Failure::of(slave.position, Step::Identify);
+        let device = match ask_device_type(&mut self.port, slave).await {
+            Ok(Some(device)) => Ok(device),
+            Ok(None) => Err(BusError::MemberCount {
+                expected: self.setup.members,
+                actual: self.setup.members.saturating_sub(1),
+            }),
+            Err(error) => Err(error),
+        };
+        let device = device.map_err(at)?;
+        if let Some(slave) = self.slaves.get_mut(number) {
+            slave.device = Some(device);
+        }
+        Ok(())
     }
 
     /// Reads what tells the slaves in use apart, and compares all members with what is expected of them.
@@ -159,4 +186,28 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
 
 fn is_member<F: SlaveFactory>(slaves: &[Slave<F>], number: usize) -> bool {
     slaves.get(number).is_some_and(|slave| slave.member.is_some())
+}
+
+/// Asks a slave with an unknown product for its device type, and leaves the slave in INIT; `None` if there is no driver
+/// for it.
+///
+/// # Errors
+/// The slave does not go to PREOP, or does not answer.
+pub(super) async fn ask_device_type<F: SlaveFactory, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    slave: &Slave<F>,
+) -> Result<Option<F::Device>, BusError> {
+    if !is_asked_for_device_type::<F>(&slave.fixed) {
+        return Ok(None);
+    }
+    let station = slave.station();
+    let mut mailbox = Mailbox::new::<MESSAGE>(station, slave.fixed.mailbox_out, slave.fixed.mailbox_in)?;
+    discovery::mailbox_managers(port, station, &slave.fixed).await?;
+    let device_type = match state::change(port, station, AlState::PreOperational).await {
+        Ok(()) => ObjectDictionary::new(port, &mut mailbox).read(DEVICE_TYPE, 4).await,
+        Err(error) => Err(error),
+    };
+    // A slave that does not return to INIT is detected when it is used.
+    let _ = state::change(port, station, AlState::Init).await;
+    device_type.map(F::by_device_type)
 }

@@ -57,6 +57,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             // The slave goes through INIT in any case.
             slave.report = Default::default();
         }
+        self.recognise(number).await?;
         self.restore_clock(number).await.map_err(at(Step::Clocks))?;
         self.reach_safe_operational(number).await?;
         self.send_plan().await;
