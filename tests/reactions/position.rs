@@ -8,7 +8,9 @@ use etherpen::application::{Fault, Mode};
 use etherpen::config::{AxisMode, Config};
 use etherpen::messages::Command;
 use etherpen::robots::AXES;
-use host_tools::cell::{CellOptions, DriveState, Fault as CellFault, InkStroke, OneTurn, PlaceOptions, Product, ResolverFault};
+use host_tools::cell::{
+    CellOptions, DriveState, Fault as CellFault, InkStroke, OneTurn, PlaceOptions, Product, ResolverFault,
+};
 use std::f64::consts::TAU;
 
 /// Speeds of the pen on the paper, mm/s: slow, and the fastest that the drawing reaches.
