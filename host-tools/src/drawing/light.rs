@@ -21,7 +21,7 @@ const MEDIAN_MIN: f32 = 0.25;
 /// Range of the exponents that brighten or darken.
 const EXPONENTS: [f32; 2] = [0.5, 1.15];
 /// Ends of a face's oval above its centre, at the chin, and at the neck, in face radii.
-const ABOVE: f64 = 1.22;
+pub(super) const ABOVE: f64 = 1.22;
 pub(super) const TO_CHIN: f64 = 1.22;
 pub(super) const TO_NECK: f64 = 1.75;
 /// Shares of the pixels of a face that become its darkest shade and white.

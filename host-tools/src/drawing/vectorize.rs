@@ -14,10 +14,12 @@ use std::path::Path;
 
 mod fill;
 mod frame;
+mod graded;
 mod lines;
 mod study;
 
 use frame::Frame;
+pub(crate) use graded::vectorize_coarser;
 use study::Study;
 
 /// Mean speeds and times of the robot for the estimate.

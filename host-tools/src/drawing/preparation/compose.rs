@@ -7,7 +7,7 @@ use super::wire::as_sent;
 use crate::drawing::photo::{SIDE_MIN, check_size};
 use crate::drawing::{
     Artwork, Crop, Drawing, DrawingError, Input, Layer, LayerStroke, OrderOptions, Stroke, Subject, Travel,
-    VectorizeOptions, load_content, to_path, vectorize_subject,
+    VectorizeOptions, load_content, to_path, vectorize_coarser, vectorize_subject,
 };
 use crate::drawing::{FACE_PENS_MIN, FACE_PENS_WANTED};
 use crate::error::{ProgramError, code};
@@ -152,11 +152,7 @@ pub(crate) fn from_photograph(
     let timed = match source.time_budget_s() {
         None => None,
         Some(budget_s) => time_budget::within(budget_s, config, &order_options(config, source), |widths| {
-            let wider = VectorizeOptions {
-                pen_width_mm: widths * options.pen_width_mm,
-                ..options
-            };
-            vectorize_subject(&picture, &subject, &wider)
+            vectorize_coarser(&picture, &subject, &options, widths)
         })?,
     };
     let (drawing, planned_s) = match timed {

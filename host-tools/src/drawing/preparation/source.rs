@@ -59,8 +59,8 @@ pub struct SourceArguments {
     /// Photographs: amount of detail, 0 (coarse) to 1 (fine) [default: 0.5].
     #[arg(long, value_name = "SHARE", value_parser = share)]
     detail: Option<f64>,
-    /// Photographs: longest drawing time by the firmware's planner: 90s, 3m. Detail is reduced everywhere until the
-    /// drawing fits; it then uses at least 97 percent of the time, unless the complete picture takes less [default: as
+    /// Photographs: longest drawing time by the firmware's planner: 90s, 3m. Detail is reduced until the drawing
+    /// fits, in faces last; it then uses at least 97 percent of the time, unless the complete picture takes less [default: as
     /// detailed as suits about 110s].
     #[arg(long, value_name = "TIME", value_parser = parse_duration_s)]
     max_time: Option<f64>,

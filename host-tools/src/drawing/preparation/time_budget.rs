@@ -1,8 +1,7 @@
-//! Fits a photograph into a drawing time: coarser lines everywhere, until the firmware's planner computes a short
-//! enough time.
+//! Fits a photograph into a drawing time: coarser lines, until the firmware's planner computes a short enough time.
 //!
-//! The picture is drawn as if with a wider pen: lines are farther apart, and finer details are left out, uniformly in
-//! the whole picture. The required width is found by planning.
+//! The picture is drawn as if with a wider pen: lines are farther apart, and finer details are left out, in the whole
+//! picture, but in faces less than elsewhere. The required width is found by planning.
 //!
 //! Invariant: the drawing takes no longer than its time limit, and at least [`SHARE_MIN`] of it unless the whole
 //! picture takes less.

@@ -1,4 +1,6 @@
 use super::*;
+use crate::drawing::Subject;
+use crate::drawing::preparation::compose::Composed;
 use crate::drawing::preparation::prepare::compose;
 use crate::drawing::preparation::source::SourceArguments;
 use clap::Parser;
@@ -22,10 +24,14 @@ fn options(words: &[&str]) -> SourceArguments {
     CommandLine::parse_from(words).source
 }
 
+fn composed(file: &str, words: &[&str]) -> Result<Composed, String> {
+    let path: PathBuf = crate::setup::workspace().join("samples").join(file);
+    compose(&path, &Config::default(), &options(words)).map_err(|error| error.message)
+}
+
 fn drawn(file: &str, words: &[&str]) -> Result<(Drawing, f64), String> {
     let config = Config::default();
-    let path: PathBuf = crate::setup::workspace().join("samples").join(file);
-    let composed = compose(&path, &config, &options(words)).map_err(|error| error.message)?;
+    let composed = composed(file, words)?;
     let planned_s = planned_s(&config, &composed.path);
     assert!(
         composed
@@ -115,6 +121,45 @@ fn flow_keeps_its_time_and_loses_detail_everywhere() {
 #[test]
 fn the_single_line_keeps_its_time_and_loses_detail_everywhere() {
     assert_kept("astronaut.png", "tsp", &[20.0, 110.0]);
+}
+
+/// Length of the strokes in the circle around the largest face, and elsewhere, mm.
+fn in_face_and_elsewhere(composed: &Composed) -> [f64; 2] {
+    let (picture, [left, top, width, _]) = composed.photograph.as_ref().expect("a photograph");
+    let subject = Subject::of(picture, None);
+    let face = subject.faces.first().expect("a face");
+    let mm_per_px = width / f64::from(picture.width());
+    let middle = [left + face.centre[0] * mm_per_px, top + face.centre[1] * mm_per_px];
+    let mut lengths = [0.0; 2];
+    for stroke in composed.parts.iter().flat_map(|(_, drawing)| &drawing.strokes) {
+        for pair in stroke.points.windows(2) {
+            let at = [0, 1].map(|k| 0.5 * (pair[0][k] + pair[1][k]) - middle[k]);
+            let is_elsewhere = at[0].hypot(at[1]) > face.radius * mm_per_px;
+            lengths[usize::from(is_elsewhere)] += (pair[1][0] - pair[0][0]).hypot(pair[1][1] - pair[0][1]);
+        }
+    }
+    lengths
+}
+
+#[test]
+fn a_face_gives_up_its_detail_last() {
+    for style in ["sketch", "hatch"] {
+        let words = ["--style", style, "--crop", "head", "--max-time"];
+        let with = |time: &'static str| {
+            let words: Vec<&str> = words.into_iter().chain([time]).collect();
+            in_face_and_elsewhere(&composed("astronaut.png", &words).expect("it can be met"))
+        };
+        let whole = with("24h");
+        for (budget, least) in [("20", 1.4), ("60", 1.05)] {
+            let less = with(budget);
+            let kept = [0, 1].map(|k| less[k] / whole[k]);
+            println!(
+                "{style} in {budget} s: {:.3} of the face's lines, {:.3} elsewhere",
+                kept[0], kept[1]
+            );
+            assert!(kept[0] > least * kept[1], "{style} in {budget} s: {kept:?}");
+        }
+    }
 }
 
 #[test]
