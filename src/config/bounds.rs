@@ -113,11 +113,12 @@ impl Axis {
     }
 
     /// Weakest quick stop that ends within [`QUICK_STOP_MAX_MS`], rad/s2, rounded up to hundredths. The highest speed
-    /// of the axis is its speed limit plus the correction that the controller adds before the following error becomes a
+    /// of the axis is its speed limit, or the speed of its search if that is higher, plus the correction that the controller adds before the following error becomes a
     /// fault, at most the output limit.
     fn quick_stop_min_rad_s2(&self, joint_speed_rad_s: f64) -> f64 {
         let added = self.feedback_gain_per_s * self.following_error_max_rad;
-        let fastest = (joint_speed_rad_s + added).min(self.output_max_rad_s);
+        let search_rad_s = self.home.io.map_or(0.0, |_| self.home.speed_rad_s.abs());
+        let fastest = (joint_speed_rad_s.max(search_rad_s) + added).min(self.output_max_rad_s);
         let needed = fastest * 1_000.0 / f64::from(QUICK_STOP_MAX_MS);
         libm::ceil(needed * 100.0) / 100.0
     }

@@ -306,6 +306,20 @@ pub enum IoError {
         /// The axis, from 0.
         axis: u8,
     },
+    /// Two axes have one home switch.
+    SameHomeSwitch {
+        /// The first, from 0.
+        first: u8,
+        /// The second.
+        second: u8,
+    },
+    /// A home switch on an axis that moves the tool in two directions at once.
+    CoupledAxis {
+        /// The axis, from 0.
+        axis: u8,
+    },
+    /// An output is to lower the pen of a machine without an axis of the height.
+    PenWithoutHeight,
     /// The role needs the other direction, or a bit.
     Role {
         /// The point.

@@ -141,7 +141,27 @@ impl Config {
                 return Err(IoError::HomeSwitch { axis: number });
             }
         }
+        self.check_searches()?;
+        if self.pen.kind == PenLiftKind::Output && !self.geometry.kind().has_height_axis() {
+            return Err(IoError::PenWithoutHeight);
+        }
         terminal::check(self)
+    }
+
+    /// Checks that each switch tells the place of one axis, which can be led to it by itself.
+    fn check_searches(&self) -> Result<(), IoError> {
+        let kind = self.geometry.kind();
+        let used = (0_u8..).zip(&self.axes).take(self.bus.drives.into());
+        for (second, axis) in used.clone().filter(|(_, axis)| axis.home.io.is_some()) {
+            if usize::from(second) < kind.coupled_axes() {
+                return Err(IoError::CoupledAxis { axis: second });
+            }
+            let mut before = used.clone().take(second.into());
+            if let Some((first, _)) = before.find(|(_, other)| other.home.io == axis.home.io) {
+                return Err(IoError::SameHomeSwitch { first, second });
+            }
+        }
+        Ok(())
     }
 
     /// The values of all points, in their order.
@@ -249,6 +269,51 @@ mod tests {
         let mut config = Config::default();
         config.work_area.z_low_mm = f64::NAN;
         assert!(config.check().is_err());
+    }
+
+    #[test]
+    fn each_switch_tells_the_place_of_one_axis_that_moves_alone_and_only_a_height_is_lowered_by_an_output() {
+        let mut config = Config {
+            geometry: Kind::Gantry.geometry(),
+            ..Config::default()
+        };
+        for number in 0..2_u8 {
+            let point = IoPoint {
+                name: if number == 0 { "x_home" } else { "y_home" }.try_into().unwrap(),
+                slave: 1,
+                bit: Some(number.into()),
+                role: IoRole::Home,
+                ..IoPoint::default()
+            };
+            assert_eq!(config.io.push(point), Ok(()));
+            config.axes[usize::from(number)].home.io = Some(number);
+        }
+        assert_eq!(config.check_io(), Ok(()));
+        config.axes[1].home.io = Some(0);
+        assert_eq!(config.check_io(), Err(IoError::SameHomeSwitch { first: 0, second: 1 }));
+        config.axes[1].home.io = Some(1);
+        config.geometry = Kind::CoreXy.geometry();
+        assert_eq!(config.check_io(), Err(IoError::CoupledAxis { axis: 0 }));
+        config.axes.iter_mut().for_each(|axis| axis.home.io = None);
+        config.pen.kind = PenLiftKind::Output;
+        assert_eq!(config.check_io(), Ok(()));
+        for kind in [Kind::Delta, Kind::LinearDelta] {
+            config.geometry = kind.geometry();
+            assert_eq!(config.check_io(), Err(IoError::PenWithoutHeight));
+        }
+    }
+
+    #[test]
+    fn the_quick_stop_is_as_strong_as_the_search_needs() {
+        let mut config = Config::default();
+        config.axes[0].home.io = Some(0);
+        config.axes[0].home.speed_rad_s = -20.0;
+        config.motion.joint_speed_rad_s[0] = 1.0;
+        config.axes[0].feedback_gain_per_s = 0.0;
+        config.axes[0].quick_stop_rad_s2 = 20.0;
+        let error = config.check().unwrap_err();
+        assert_eq!(error.field.name(), "axes.quick_stop_rad_s2");
+        assert!((error.low - 20.0 / 0.95).abs() < 0.02, "{error:?}");
     }
 
     #[test]

@@ -1,7 +1,7 @@
 //! When the output of a pen is on.
 //!
-//! The output follows the height of the setpoints: it is switched on when the path begins to go down, and off when it begins
-//! to go up. Where no setpoint is followed it is off.
+//! The output follows the height of the setpoints: it is switched on when the path begins to go down from where the pen is
+//! up, and off when it begins to go up. Above that height it is off, and where no setpoint is followed.
 
 use crate::config::{Config, PenLiftKind};
 use crate::motion::{Pen, Setpoint};
@@ -9,8 +9,9 @@ use crate::robots::LINEAR_MM_PER_RAD;
 
 /// The axis of the height.
 pub(super) const HEIGHT: usize = 2;
-/// Vertical speed that counts as none, rad/s: rounding of the setpoints.
+/// Vertical speed, rad/s, and height, rad, that count as none: rounding of the setpoints.
 const STILL_RAD_S: f64 = 1.0e-6;
+const STILL_RAD: f64 = 1.0e-6;
 
 /// Heights of the axis of the height, and whether an output follows them.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -38,7 +39,55 @@ impl PenSwitch {
     /// Whether the output is on at a setpoint that is followed.
     pub(super) fn is_on(&self, setpoint: &Setpoint) -> bool {
         let (height_rad, climb_rad_s) = (setpoint.position_rad[HEIGHT], setpoint.velocity_rad_s[HEIGHT]);
+        let lowers = climb_rad_s <= -STILL_RAD_S && height_rad < self.up_rad + STILL_RAD;
         let stands_low = climb_rad_s.abs() < STILL_RAD_S && height_rad < self.half_rad;
-        self.has_output && (setpoint.pen == Pen::Down || climb_rad_s <= -STILL_RAD_S || stands_low)
+        self.has_output && (setpoint.pen == Pen::Down || lowers || stands_low)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::PenLift;
+
+    #[test]
+    fn the_output_is_on_from_the_start_of_lowering_to_the_start_of_lifting_and_never_above() {
+        let config = Config {
+            pen: PenLift {
+                kind: PenLiftKind::Output,
+                ..PenLift::default()
+            },
+            ..Config::default()
+        };
+        let switch = PenSwitch::new(&config);
+        let (up_mm, lift_mm) = (
+            config.paper.pen_down_z_mm + config.paper.pen_lift_mm,
+            config.paper.pen_lift_mm,
+        );
+        let is_on = |z_mm: f64, climb_mm_s: f64, pen: Pen| {
+            let mut setpoint = Setpoint {
+                pen,
+                ..Setpoint::default()
+            };
+            setpoint.position_rad[HEIGHT] = z_mm / LINEAR_MM_PER_RAD;
+            setpoint.velocity_rad_s[HEIGHT] = climb_mm_s / LINEAR_MM_PER_RAD;
+            switch.is_on(&setpoint)
+        };
+        for (z_mm, climb_mm_s, pen, expected) in [
+            (up_mm, 0.0, Pen::Up, false),
+            (up_mm, -1.0, Pen::Up, true),
+            (up_mm - 0.9 * lift_mm, 0.0, Pen::Up, true),
+            (up_mm - lift_mm, 0.0, Pen::Down, true),
+            (up_mm - lift_mm, 1.0, Pen::Up, false),
+            // A slow way down over the sheet to where the pen is up.
+            (up_mm + 26.0, -4.0, Pen::Up, false),
+            (up_mm + 0.01, -4.0, Pen::Up, false),
+        ] {
+            assert_eq!(
+                is_on(z_mm, climb_mm_s, pen),
+                expected,
+                "{z_mm} mm, {climb_mm_s} mm/s, {pen:?}"
+            );
+        }
     }
 }

@@ -193,6 +193,7 @@ impl AxisState {
             self.position += i64::from(difference);
             if shown != difference && self.drive.has_left_range(shown, difference) {
                 self.lose_home();
+                self.home_lost |= self.searches;
             }
             let cycles = self.gap_ms.min(GAP_AT_REST_MAX_MS) as i32 + 1;
             let before = core::mem::replace(&mut self.step, difference / cycles);
@@ -472,6 +473,20 @@ impl RobotAxes {
             axis.home_lost = false;
         }
         Ok(())
+    }
+
+    /// Forgets the homes, because they are to be found anew.
+    pub fn forget_home(&mut self) {
+        for axis in &mut self.axes {
+            (axis.zero, axis.home_lost) = (None, false);
+        }
+    }
+
+    /// The last angles of the joints, rad; of one that is not homed they count from where the unwrapping began.
+    pub fn angles_rad(&self) -> [f64; AXES] {
+        self.axes
+            .each_ref()
+            .map(|axis| (float(axis.position) - axis.zero.unwrap_or(0.0)) / axis.increments_per_rad)
     }
 
     /// Whether the axes are led to their switches: until they are homed their angles count from where the unwrapping began.

@@ -284,7 +284,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         let output_rad_s = self.control(following);
         self.supervise(following, underrun, &output_rad_s);
         self.write(following, &output_rad_s);
-        let pen = following && self.power == Power::On && self.pen.is_on(&self.now.setpoint);
+        let pen = following && self.may_lower_pen() && self.pen.is_on(&self.now.setpoint);
         self.io.write(&mut self.group, self.supervision.fault().is_some(), pen);
         let telegram = self.group.trigger_output();
         let sending = match may_send(&self.bus, self.has_path) {
@@ -303,6 +303,11 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         self.late = u16::from(late);
         self.counters.cycles_late = self.counters.cycles_late.wrapping_add(u32::from(late));
         self.report(following);
+    }
+
+    /// Whether the pen's height is known: a pen that an output lowers stays up otherwise.
+    fn may_lower_pen(&self) -> bool {
+        self.power == Power::On && self.search.is_none() && self.now.homed == [true; AXES]
     }
 
     /// Takes new addresses from the IP stack. Without addresses nothing is sent; the supervisor and the supervision see

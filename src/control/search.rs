@@ -20,10 +20,16 @@ const STEADY_MS: u8 = 3;
 const ACCELERATION_PART: f64 = 0.5;
 /// Longest way on which a switch is left, in lengths of the way kept off it.
 const LEAVING_MAX: f64 = 8.0;
+/// Time after which a change of the switch is seen at the latest, s: filter of the terminal, exchange, and lag of the drive.
+const INPUT_S: f64 = 0.02;
+/// How far apart the two approaches may find the switch besides, in lengths of the way kept off it.
+const AGREED_PART: f64 = 0.25;
 /// Length of a cycle, s.
 const CYCLE_S: f64 = 1.0e-3;
 /// Time at rest before the positions are taken, ms: longer than the setpoints are made ahead.
 const REST_MS: u16 = 40;
+/// Longest time at rest in which the positions have to arrive, ms.
+const REST_MAX_MS: u16 = 500;
 
 /// Why a search has ended without a result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
@@ -32,8 +38,10 @@ pub enum SearchFailure {
     NeverOpens,
     /// The switch has not closed again when it was left: it is stuck, or its wire is broken.
     StaysOpen,
-    /// The input does not arrive.
+    /// The input, or the axis's position, does not arrive.
     Missing,
+    /// The two approaches found the switch at different places: a contact or a wire is loose, or the axis slips.
+    Differs,
 }
 
 /// What an axis does.
@@ -61,18 +69,19 @@ struct Switch {
     is_open: bool,
     /// Milliseconds for which the input has had the other state.
     other_ms: u8,
-    /// The axis's position when it changed, increments.
+    /// The axis's position when it changed, increments, and its setpoint, rad.
     changed_at: i64,
+    changed_rad: f64,
 }
 
 impl Switch {
-    fn step(&mut self, is_open: bool, increments: i64) {
+    fn step(&mut self, is_open: bool, increments: i64, setpoint_rad: f64) {
         if is_open == self.is_open {
             self.other_ms = 0;
             return;
         }
         if self.other_ms == 0 {
-            self.changed_at = increments;
+            (self.changed_at, self.changed_rad) = (increments, setpoint_rad);
         }
         self.other_ms += 1;
         if self.other_ms >= STEADY_MS {
@@ -97,6 +106,8 @@ struct AxisSearch {
     closed_rad: Option<f64>,
     /// Whether the axis is to stop, which ends the phase.
     stops: bool,
+    /// Where the first approach found the switch, by the setpoint, rad.
+    first_rad: f64,
     /// Position of the switch, increments.
     edge: Option<i64>,
 }
@@ -114,6 +125,7 @@ impl AxisSearch {
             begun_rad: position_rad,
             closed_rad: None,
             stops: false,
+            first_rad: position_rad,
             edge: None,
         }
     }
@@ -134,20 +146,20 @@ impl AxisSearch {
             self.is_known = true;
             self.switch.is_open = is_open;
         }
-        self.switch.step(is_open, increments);
+        self.switch.step(is_open, increments, self.position_rad);
         match self.phase {
             Phase::Waiting => {
                 let first = if self.switch.is_open { Phase::Clear } else { Phase::Seek };
                 self.enter(first);
             }
             Phase::Clear | Phase::PullOff | Phase::Leave => self.leave()?,
-            Phase::Seek => self.seek(self.home.travel_max_rad)?,
-            Phase::Latch => {
-                self.seek(LEAVING_MAX * self.home.pull_off_rad)?;
+            Phase::Seek => {
+                self.seek(self.home.travel_max_rad)?;
                 if self.stops {
-                    self.edge.get_or_insert(self.switch.changed_at);
+                    self.first_rad = self.switch.changed_rad;
                 }
             }
+            Phase::Latch => self.latch()?,
             Phase::Done => {}
         }
         self.advance();
@@ -164,10 +176,29 @@ impl AxisSearch {
         }
     }
 
+    /// Takes the place where the slow approach finds the switch. One that is open at its start has not been left, and one
+    /// that was found elsewhere at the first approach cannot be relied on.
+    fn latch(&mut self) -> Result<(), SearchFailure> {
+        if self.switch.is_open && self.position_rad == self.begun_rad {
+            return Err(SearchFailure::StaysOpen);
+        }
+        self.seek(self.leaving_max_rad())?;
+        if self.stops && self.edge.is_none() {
+            let apart_rad = (self.switch.changed_rad - self.first_rad).abs();
+            if apart_rad > self.home.speed_rad_s.abs() * INPUT_S + AGREED_PART * self.home.pull_off_rad {
+                return Err(SearchFailure::Differs);
+            }
+            self.edge = Some(self.switch.changed_at);
+        }
+        Ok(())
+    }
+
     /// Decides where the way off the switch ends.
     fn leave(&mut self) -> Result<(), SearchFailure> {
-        if !self.switch.is_open {
-            self.closed_rad.get_or_insert(self.position_rad);
+        match self.switch.is_open {
+            true if !self.stops => self.closed_rad = None,
+            true => {}
+            false => _ = self.closed_rad.get_or_insert(self.position_rad),
         }
         let travelled_rad = |from_rad: f64| (self.position_rad - from_rad).abs();
         match self.closed_rad {
@@ -238,6 +269,11 @@ impl Search {
             rest_ms: 0,
             is_cancelled: false,
         }
+    }
+
+    /// Whether a search that has ended may wait for positions.
+    pub(super) fn may_wait(&self) -> bool {
+        self.rest_ms < REST_MAX_MS
     }
 
     /// Ends the search early.
@@ -379,6 +415,51 @@ mod tests {
     }
 
     #[test]
+    fn a_loose_contact_and_a_flag_that_is_too_narrow_end_the_search_instead_of_giving_a_wrong_place() {
+        let only = |is_open: &dyn Fn(u32, f64) -> bool| {
+            let axes = [axis(0, 0, -0.5), Axis::default(), Axis::default(), Axis::default()];
+            let mut search = Search::new(&axes, AXES, &[0.0; AXES]);
+            for ms in 0..60_000 {
+                let pose = search.setpoint().position_rad;
+                let increments = pose.map(|rad| (rad * PER_RAD) as i64);
+                match search.step(|_| Some(is_open(ms, pose[0])), &increments) {
+                    Ok(Found::Setpoint(_)) => {}
+                    end => return end,
+                }
+            }
+            panic!("the search does not end");
+        };
+        // The way from the first place of the switch to the slow approach is 3 mm: a contact that opens there for 5 ms.
+        let mut wrong = 0;
+        for opens_ms in 0..9_000 {
+            let found = only(&|ms, rad| rad <= -0.8 || (opens_ms..opens_ms + 5).contains(&ms));
+            match found {
+                Ok(Found::End(Some([Some(edge), ..]))) => {
+                    let apart_rad = (edge as f64 / PER_RAD + 0.8).abs();
+                    assert!(apart_rad < 0.018, "{opens_ms} ms: {apart_rad} rad");
+                }
+                Err((0, SearchFailure::Differs | SearchFailure::StaysOpen | SearchFailure::NeverOpens)) => wrong += 1,
+                other => panic!("{opens_ms} ms: {other:?}"),
+            }
+        }
+        assert!(wrong > 100, "{wrong}");
+        // A flag that the first approach passes over: beyond it the contact is closed again.
+        for width_rad in [0.001, 0.005, 0.01] {
+            let found = only(&|_, rad| (-0.8 - width_rad..=-0.8).contains(&rad));
+            assert!(
+                matches!(
+                    found,
+                    Err((
+                        0,
+                        SearchFailure::Differs | SearchFailure::StaysOpen | SearchFailure::NeverOpens
+                    ))
+                ) || matches!(found, Ok(Found::End(Some([Some(edge), ..]))) if (edge as f64 / PER_RAD + 0.8).abs() < 0.018),
+                "{width_rad} rad: {found:?}"
+            );
+        }
+    }
+
+    #[test]
     fn a_cancelled_search_stops_all_axes_and_gives_no_position() {
         let axes = [axis(0, 0, -0.5), axis(1, 0, 0.8), Axis::default(), Axis::default()];
         for cancelled_ms in [0, 5, 400] {
@@ -403,7 +484,7 @@ mod tests {
     fn a_bouncing_switch_gives_the_place_of_its_first_contact() {
         let mut switch = Switch::default();
         for (ms, is_open) in [true, false, true, true, true].into_iter().enumerate() {
-            switch.step(is_open, ms as i64);
+            switch.step(is_open, ms as i64, 0.0);
         }
         assert_eq!((switch.is_open, switch.changed_at), (true, 2));
     }

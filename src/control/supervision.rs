@@ -175,7 +175,7 @@ impl Supervision {
     #[inline]
     fn look_at_bus(&mut self, bus: &Bus, seen: &Observation) {
         if seen.valid != [true; AXES] {
-            self.look_for_blind(bus.blind_max_ms);
+            self.look_for_blind(bus);
         } else if let Some(al_state) = seen.al_status
             && al_state != AL_OPERATIONAL
         {
@@ -184,7 +184,7 @@ impl Supervision {
             self.al_unexplained_ms = 0;
         }
         if seen.unconfirmed != 0 {
-            self.look_for_lost_outputs(bus.blind_max_ms);
+            self.look_for_lost_outputs(bus);
         }
         if let Some(fault) = seen.clock {
             self.latch(fault);
@@ -216,9 +216,11 @@ impl Supervision {
     }
 
     #[cold]
-    fn look_for_blind(&mut self, limit_ms: u16) {
+    fn look_for_blind(&mut self, bus: &Bus) {
+        let limit_ms = bus.blind_max_ms;
         let blind = self.blind_ms.map(|ms| ms > limit_ms);
-        if blind.iter().all(|b| *b) {
+        // A missing axis is never blind.
+        if blind.iter().take(bus.drives.into()).all(|b| *b) {
             self.latch(Fault::Blind {
                 blind_ms: self.blind_ms[0],
                 limit_ms,
@@ -231,11 +233,13 @@ impl Supervision {
     /// The outputs of this cycle are the next ones that may be lost, so the limit is reached a cycle before it is
     /// exceeded. One lost telegram is never a fault.
     #[cold]
-    fn look_for_lost_outputs(&mut self, limit_ms: u16) {
+    fn look_for_lost_outputs(&mut self, bus: &Bus) {
+        let limit_ms = bus.blind_max_ms;
         let lost = self.unconfirmed_ms.map(|ms| ms >= limit_ms.max(2));
         if let Some(axis) = lost.iter().position(|lost| *lost) {
+            let all = lost.iter().take(bus.drives.into()).all(|lost| *lost);
             self.latch(Fault::OutputsLost {
-                axis: (lost != [true; AXES]).then_some(axis as u8),
+                axis: (!all).then_some(axis as u8),
                 lost_ms: self.unconfirmed_ms[axis],
                 limit_ms,
             });

@@ -89,6 +89,63 @@ fn an_axis_that_stands_at_its_switch_leaves_it_first() {
     assert_knows_its_pose(&mut robot);
 }
 
+/// Homed, then the search begins again and is ended in the middle of its way.
+#[test]
+fn a_search_that_is_ended_early_leaves_a_homed_machine_unhomed_where_it_stands() {
+    for (after_ms, stops) in [(0, false), (40, false), (900, false), (900, true)] {
+        let mut robot = powered(1);
+        robot.command(Command::Home).unwrap();
+        robot.run_until("homed", |robot| robot.mode() == Mode::Idle);
+        robot.command(Command::Home).unwrap();
+        let before = robot.cell().joints.0;
+        robot.run(after_ms);
+        if after_ms == 40 {
+            // Nothing jumps as the search begins.
+            for (after, before) in robot.cell().joints.0.iter().zip(before) {
+                assert!((after - before).abs() < 0.01, "{after} rad, {before} rad before");
+            }
+        }
+        if stops {
+            robot.command(Command::Stop).unwrap();
+            assert_described_standstill(&mut robot, |fault| matches!(fault, Fault::EmergencyStop(_)));
+            robot.command(Command::Acknowledge).unwrap();
+            robot.wait_for(Mode::DrivesOff);
+            robot.command(Command::Enable).unwrap();
+        } else {
+            robot.command(Command::Cancel).unwrap();
+        }
+        robot.wait_for(Mode::Unreferenced);
+        assert!(!robot.status.as_ref().unwrap().referenced);
+        robot.command(Command::Home).unwrap();
+        robot.run_until("homed", |robot| robot.mode() == Mode::Idle);
+        assert_knows_its_pose(&mut robot);
+    }
+}
+
+#[test]
+fn a_way_that_is_too_short_ends_the_search_before_the_end_stop() {
+    let mut config = gantry();
+    for axis in &mut config.axes {
+        axis.home.travel_max_rad = 0.05;
+    }
+    let mut robot = Robot::of(&gantry(), CellOptions::default());
+    robot.configure(&config);
+    robot.wait_for(Mode::DrivesOff);
+    robot.command(Command::Enable).unwrap();
+    robot.wait_for(Mode::Unreferenced);
+    robot.command(Command::Home).unwrap();
+    assert_described_standstill(&mut robot, |fault| {
+        matches!(
+            fault,
+            Fault::HomingFailed {
+                axis: 2,
+                failure: SearchFailure::NeverOpens
+            }
+        )
+    });
+    assert_eq!(robot.cell().end_stop_ms, 0);
+}
+
 /// Makes a switch fail, or mends it.
 type Failing = fn(&mut Robot, bool);
 

@@ -3,10 +3,10 @@
 use crate::robot::Robot;
 use crate::{assert_described_standstill, assert_recovers_with};
 use etherpen::application::{Fault, Mode};
-use etherpen::config::Config;
+use etherpen::config::{Config, IoDirection, IoPoint, IoRole, PenLift, PenLiftKind};
 use etherpen::messages::{Command, PathVertex};
 use etherpen::motion::Pen;
-use host_tools::cell::Fault as CellFault;
+use host_tools::cell::{CellOptions, Fault as CellFault};
 use host_tools::settings::machines::MACHINES;
 
 /// The terminal with the pen's output, from 1.
@@ -92,6 +92,85 @@ fn the_pen_is_off_at_once_at_a_stop_a_drive_fault_and_a_lost_terminal_and_stays_
             assert_eq!((robot.fault(), robot.ink().len()), (None, ink + 2), "{what}");
         }
     }
+}
+
+/// A gantry with switches and an axis of the height, whose pen is at an output besides.
+fn gantry_with_pen_output() -> Config {
+    let mut config = MACHINES[1].load().unwrap();
+    config.pen = PenLift {
+        kind: PenLiftKind::Output,
+        ..PenLift::default()
+    };
+    config
+        .io
+        .push(IoPoint {
+            name: "pen".try_into().unwrap(),
+            slave: TERMINAL as u8 - 1,
+            direction: IoDirection::Out,
+            bit: Some(0),
+            role: IoRole::Pen,
+            ..IoPoint::default()
+        })
+        .unwrap();
+    assert_eq!((config.check(), config.check_io()), (Ok(()), Ok(())));
+    config
+}
+
+#[test]
+fn the_pen_is_up_until_the_machine_is_homed_in_a_search_and_on_the_way_down_to_the_sheet() {
+    let config = gantry_with_pen_output();
+    let mut robot = Robot::of(&config, CellOptions::default());
+    robot.configure(&config);
+    robot.wait_for(Mode::DrivesOff);
+    robot.command(Command::Enable).unwrap();
+    let is_off = |robot: &mut Robot, what: &str| {
+        assert_eq!(robot.outputs(TERMINAL), 0, "{what}: {:?}", robot.cell().joints);
+    };
+    let homes = |robot: &mut Robot| {
+        robot.command(Command::Home).unwrap();
+        robot.wait_for(Mode::Homing);
+        while robot.mode() == Mode::Homing {
+            robot.run(1);
+            is_off(robot, "homing");
+            // The file's 60 mm/s, and what a drive overshoots.
+            assert!(robot.speed_rad_s() < 0.66, "{} rad/s", robot.speed_rad_s());
+        }
+        assert_eq!((robot.mode(), robot.fault()), (Mode::Idle, None));
+    };
+    for _ in 0..1_000 {
+        robot.run(1);
+        is_off(&mut robot, "not homed");
+    }
+    assert_eq!(robot.mode(), Mode::Unreferenced);
+    homes(&mut robot);
+    // The height stands near 0, and the pen is up at -27 mm: a slow way down over the sheet.
+    let point = |x_mm: i32, z_mm: i32, pen: Pen| PathVertex {
+        position_um: [x_mm * 1_000, 240_000, z_mm * 1_000],
+        pen,
+        stroke: 0,
+    };
+    robot.draw(vec![
+        point(300, -27, Pen::Up),
+        point(300, -30, Pen::Up),
+        point(340, -30, Pen::Down),
+        point(340, -27, Pen::Up),
+    ]);
+    robot.run_until("the pen is on", |robot| robot.outputs(TERMINAL) != 0);
+    // The output follows the setpoints, the motor a moment later.
+    let z_mm = robot.cell().joints.0[2] * 100.0;
+    assert!(z_mm < -26.9, "{z_mm} mm");
+    robot.run_until("the path is executed", |robot| {
+        robot.ack.finished && robot.mode() == Mode::Idle
+    });
+    assert_eq!((robot.fault(), robot.ink().len()), (None, 1));
+    // Low, and homed once more.
+    robot.command(Command::Pen { pen: Pen::Down }).unwrap();
+    robot.run_until("the pen is on", |robot| robot.outputs(TERMINAL) != 0);
+    robot.run_until("at rest", |robot| {
+        robot.mode() == Mode::Idle && robot.speed_rad_s() < 1e-3
+    });
+    homes(&mut robot);
+    is_off(&mut robot, "homed");
 }
 
 #[test]

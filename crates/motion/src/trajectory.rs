@@ -30,6 +30,8 @@ pub const QUEUE_VERTICES: usize = QUEUE;
 const NEAR_PAPER: f64 = 0.5;
 /// Distance over the paper that a pen need not be lifted for, mm: less than the width of any line.
 const BESIDE_MM: f64 = 0.01;
+/// Largest difference of a joint from the angle that the planner would choose there, rad.
+const SAME_POSE_RAD: f64 = 1.0e-4;
 /// Bounds of the override, percent.
 const OVERRIDE_PERCENT: core::ops::RangeInclusive<u8> = 10..=200;
 
@@ -161,8 +163,9 @@ impl Trajectory {
 
     /// Takes the measured pose, at rest, as the start; discards any path.
     ///
-    /// Returns whether the robot can have this pose. Without a valid pose, setpoints stay where they are and commands
-    /// are refused.
+    /// Returns whether the robot can have this pose and reach it again: one with a joint on the other side, such as a
+    /// SCARA's elbow, is another one than the planner would choose there. Without a valid pose, setpoints stay where they
+    /// are and commands are refused.
     pub fn place(&mut self, pose: JointAngles) -> bool {
         self.pose = None;
         self.motion.drop_path();
@@ -171,9 +174,15 @@ impl Trajectory {
             return false;
         }
         self.interpolator.place(&pose);
-        let Ok(position) = self.motion.area.kinematics().forward(&pose) else {
+        let kinematics = self.motion.area.kinematics();
+        let Ok(position) = kinematics.forward(&pose) else {
             return false;
         };
+        let chosen_rad = kinematics.angles(&position.into());
+        let mut apart_rad = pose.0.iter().zip(chosen_rad).map(|(own, chosen)| (own - chosen).abs());
+        if !apart_rad.all(|apart| apart < SAME_POSE_RAD) {
+            return false;
+        }
         self.motion.here = PathSample {
             point: position.into(),
             heading: fourth_rad,

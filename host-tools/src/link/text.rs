@@ -280,6 +280,21 @@ pub fn io_error(error: &IoError) -> String {
             "axis {}: its home switch is not an input with role = \"home\" in [[io]]",
             one(axis)
         ),
+        IoError::SameHomeSwitch { first, second } => format!(
+            "axis {} and axis {} have one home switch; each axis needs its own",
+            one(first),
+            one(second)
+        ),
+        IoError::CoupledAxis { axis } => format!(
+            "axis {}: moved alone, it moves the tool in two directions, so that a switch does not tell its place; home it by \
+             an encoder",
+            one(axis)
+        ),
+        IoError::PenWithoutHeight => {
+            "an output cannot lower the pen of this kind of machine, whose third axis is not the \
+                                      height; write kind = \"axis\" in [pen]"
+                .into()
+        }
         IoError::Place { io } => format!("io {}: give either bit or object", one(io)),
         IoError::Bit { io, expected, actual } => {
             format!(

@@ -198,7 +198,10 @@ fn io_line(places: &Places<'_>, cause: &IoError) -> Option<usize> {
         | IoError::Place { io }
         | IoError::Bit { io, .. }
         | IoError::Role { io, .. } => places.of_io(io),
-        IoError::HomeSwitch { axis } => places.of_axis(axis.into(), &["home"]),
+        IoError::HomeSwitch { axis } | IoError::CoupledAxis { axis } | IoError::SameHomeSwitch { second: axis, .. } => {
+            places.of_axis(axis.into(), &["home"])
+        }
+        IoError::PenWithoutHeight => places.of("pen", &["kind"]),
         IoError::TerminalSlave { terminal, .. } | IoError::DeviceOfAxis { terminal, .. } => {
             places.of_entry("terminals", terminal)
         }

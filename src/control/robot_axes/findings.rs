@@ -29,3 +29,12 @@ pub enum HomingError {
         axis: u8,
     },
 }
+
+impl HomingError {
+    /// The axis, from 0.
+    pub const fn axis(&self) -> u8 {
+        match self {
+            Self::NoPosition { axis } | Self::Moving { axis } => *axis,
+        }
+    }
+}

@@ -2,12 +2,15 @@
 
 use super::Sampler;
 use crate::application::{Fault, Power};
-use crate::control::search::{Found, Search};
+use crate::control::pen_switch::HEIGHT;
+use crate::control::position::PositionController;
+use crate::control::search::{Found, Search, SearchFailure};
 use crate::drives::io::{IoGroup, IoTrigger};
 use crate::robots::AXES;
 
 impl<G: IoTrigger + IoGroup> Sampler<'_, G> {
-    /// Begins to lead the axes to their switches, from where they are.
+    /// Begins to lead the axes to their switches, from where they are. They are no longer homed, however the search ends:
+    /// the pose that they had was to be corrected.
     #[cold]
     pub(super) fn begin_search(&mut self) {
         if self.power != Power::On {
@@ -15,7 +18,21 @@ impl<G: IoTrigger + IoGroup> Sampler<'_, G> {
         }
         self.epoch = None;
         self.window.clear();
-        let search = Search::new(&self.axes, self.used, &self.now.measured_rad);
+        self.robot.forget_home();
+        let homed = core::array::from_fn(|axis| axis >= self.used);
+        let unhomed_rad = self.robot.angles_rad();
+        let now = &mut self.now;
+        for (axis, angle_rad) in unhomed_rad.iter().enumerate().take(self.used) {
+            now.measured_rad[axis] = *angle_rad;
+        }
+        // A missing height is where the pen is up.
+        if HEIGHT >= self.used {
+            now.measured_rad[HEIGHT] = self.pen.up_rad;
+        }
+        (now.homed, self.home_lost, self.same_zero) = (homed, [false; AXES], [false; AXES]);
+        // The setpoints that were followed belong to the former zeros.
+        self.controllers.iter_mut().for_each(PositionController::reset);
+        let search = Search::new(&self.axes, self.used, &now.measured_rad);
         let standing = search.setpoint();
         while self.window.has_room() {
             self.window.push(&standing);
@@ -47,9 +64,21 @@ impl<G: IoTrigger + IoGroup> Sampler<'_, G> {
                 return (true, false);
             }
             Ok(Found::End(edges)) => {
-                // A refusal leaves the axes unhomed, which the operating modes see and report.
-                let _ = edges.map(|edges| self.robot.home_at(&edges));
+                let homed = edges.map_or(Ok(()), |edges| self.robot.home_at(&edges));
                 self.same_zero = [false; AXES];
+                match homed {
+                    Ok(()) => {}
+                    // A position may be missing in this very millisecond.
+                    Err(_) if search.may_wait() => {
+                        self.window.advance();
+                        self.window.push(&search.setpoint());
+                        return (true, false);
+                    }
+                    Err(error) => self.supervision.latch(Fault::HomingFailed {
+                        axis: error.axis(),
+                        failure: SearchFailure::Missing,
+                    }),
+                }
             }
             Err((axis, failure)) => self.supervision.latch(Fault::HomingFailed { axis, failure }),
         }

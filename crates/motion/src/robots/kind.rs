@@ -53,6 +53,15 @@ impl Kind {
         }
     }
 
+    /// How many of the first axes move the tool in two directions at once, each alone.
+    #[must_use]
+    pub fn coupled_axes(self) -> usize {
+        match self {
+            Self::CoreXy => 2,
+            Self::Delta | Self::Gantry | Self::Scara | Self::LinearDelta => 0,
+        }
+    }
+
     /// Whether the third main axis is the tool's height, and moves nothing else.
     #[must_use]
     pub fn has_height_axis(self) -> bool {

@@ -203,8 +203,12 @@ pub fn fault(fault: &Fault) -> String {
                     "check the switch and its wire",
                 ),
                 SearchFailure::Missing => (
-                    "gets no input from its home switch",
-                    "check its terminal's supply and cable",
+                    "gets no input from its home switch, or no position",
+                    "check the supply and cable of its terminal and its drive",
+                ),
+                SearchFailure::Differs => (
+                    "found its home switch at two different places",
+                    "check the switch, its wire and its fixing",
                 ),
             };
             format!("axis {} {what}; {hint}, then acknowledge and home again", one(axis))
