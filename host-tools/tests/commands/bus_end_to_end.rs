@@ -161,8 +161,8 @@ fn info_shows_the_entries_of_slaves_without_a_driver_by_their_memory_and_in_preo
     }
     for (state, source) in [("init", "SII"), ("preop", "CoE"), ("op", "CoE")] {
         json(&folder, &way, &["state", "2", state]);
-        let value = (0x7000, 1, 16, "Value".to_owned());
-        let on = (0x6000, 1, 1, "On".to_owned());
+        let value = (0x7000, 1, 16, String::new());
+        let on = (0x6000, 1, 1, String::new());
         let gap = (0, 0, 15, String::new());
         let expected = [
             (0x1600, "out".to_owned(), source.to_owned(), vec![value]),
@@ -174,8 +174,8 @@ fn info_shows_the_entries_of_slaves_without_a_driver_by_their_memory_and_in_preo
     }
     let text = bus(&folder, &way, &["info", "2"]);
     for line in [
-        "  PDO 1a00         in, sync manager 3, 16 bits, by CoE In",
-        "    6000:1           1 bits On",
+        "  PDO 1a00         in, sync manager 3, 16 bits, by CoE",
+        "    6000:1           1 bits",
         "    gap             15 bits",
     ] {
         assert!(text.contains(line), "{text}");
@@ -205,14 +205,21 @@ fn errors_shows_the_newest_messages_of_a_drives_diagnosis_history_first() {
     for slave in ["1", "2"] {
         json(&folder, &way, &["state", slave, "preop"]);
     }
-    let mut messages = serde_json::Value::Null;
+    // On a busy computer a program may find no answer in time; another one asks again.
+    let errors = |options: &[&str]| {
+        let (status, stdout, _) = run(etherpen(&folder).args(["bus", "errors"]).args(options).args(way));
+        (status == Some(0)).then_some(stdout)
+    };
+    let mut messages = Vec::new();
     wait_until("the last fault", || {
-        let errors = json(&folder, &way, &["errors"]);
-        assert!(errors[0]["messages"].is_null(), "an AX2000 has no history: {errors}");
-        messages = errors[1]["messages"].clone();
-        messages[0]["error_code"] == 0x230A
+        let Some(found) = errors(&["--json"]) else {
+            return false;
+        };
+        let found: serde_json::Value = serde_json::from_str(&found).expect("JSON");
+        assert!(found[0]["messages"].is_null(), "an AX2000 has no history: {found}");
+        messages = found[1]["messages"].as_array().cloned().unwrap_or_default();
+        messages.first().is_some_and(|newest| newest["error_code"] == 0x230A)
     });
-    let messages = messages.as_array().expect("a list").clone();
     let codes: Vec<_> = messages.iter().map(|message| message["error_code"].as_u64()).collect();
     let newest: Vec<_> = (0x2303..=0x230A).rev().map(Some).collect();
     assert_eq!(codes, newest, "a ring of eight");
@@ -221,11 +228,9 @@ fn errors_shows_the_newest_messages_of_a_drives_diagnosis_history_first() {
             .iter()
             .all(|message| message["kind"] == "error" && message["text_id"] == 0x0101)
     );
-    let text = bus(&folder, &way, &["errors"]);
-    assert!(
-        text.contains("slave 2 tells: error 0x230ae800, error code 0x230a, text 0x0101"),
-        "{text}"
-    );
+    wait_until("the same in words", || {
+        errors(&[]).is_some_and(|text| text.contains("slave 2 tells: error 0x230ae800, error code 0x230a, text 0x0101"))
+    });
     segment.end();
 }
 
