@@ -114,9 +114,13 @@ fn a_slave_is_brought_to_op_and_back_by_one_program_after_the_other() {
     segment.end();
 }
 
-/// The process data objects that `bus info` shows for a slave: index, direction, source, and entries as index, sub-index,
-/// bits and name.
-fn shown_objects(info: &serde_json::Value) -> Vec<(u64, String, String, Vec<(u64, u64, u64, String)>)> {
+/// Entry of a process data object: index, sub-index, bits and name.
+type ShownEntry = (u64, u64, u64, String);
+/// Process data object: index, direction, source and entries.
+type ShownObject = (u64, String, String, Vec<ShownEntry>);
+
+/// The process data objects that `bus info` shows for a slave.
+fn shown_objects(info: &serde_json::Value) -> Vec<ShownObject> {
     let text = |value: &serde_json::Value| value.as_str().expect("a text").to_owned();
     let number = |value: &serde_json::Value| value.as_u64().expect("a number");
     let pdos = info["slaves"][0]["pdos"].as_array().expect("a list");

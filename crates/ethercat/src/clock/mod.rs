@@ -74,7 +74,7 @@ pub struct SlaveClock {
     /// Delay of a frame from the first slave of the last measurement to this slave, ns.
     pub delay_ns: u32,
     /// Delay that the slave was told: from the slave that distributes its time, ns.
-    told_delay_ns: u32,
+    pub told_delay_ns: u32,
     /// Whether the slave took part in the last measurement, and the chain is still as it was then.
     pub measured: bool,
 }
