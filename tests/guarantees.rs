@@ -39,6 +39,7 @@ fn has_test(code: &str, name: &str) -> bool {
     lines.iter().enumerate().any(|(number, line)| {
         // Further attributes may stand between.
         let before = lines[..number].iter().rev().take_while(|line| line.starts_with("#["));
+        let line = line.strip_prefix("pub(crate) ").unwrap_or(line);
         line.starts_with(&function) && before.into_iter().any(|line| *line == "#[test]")
     })
 }

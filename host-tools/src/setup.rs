@@ -297,6 +297,9 @@ const UNICORN: &str = "unicorn==2.1.4";
 /// The version of pysoem, SOEM for Python, an EtherCAT master of another project that brings up the virtual segment.
 const PYSOEM: &str = "pysoem==1.1.13";
 
+/// The version of KickCAT, an EtherCAT master of another project that brings up the virtual segment.
+const KICKCAT: &str = "kickcat==2.5";
+
 /// A Python with vpype, in a separate folder below the target folder; installed if it is missing.
 ///
 /// # Errors
@@ -319,6 +322,14 @@ pub fn ensure_unicorn() -> Result<PathBuf, SetupError> {
 /// What is missing and how to get it.
 pub fn ensure_pysoem() -> Result<PathBuf, SetupError> {
     ensure_python("pysoem", PYSOEM, "")
+}
+
+/// A Python with KickCAT, in a separate folder below the target folder; installed if it is missing.
+///
+/// # Errors
+/// What is missing and how to get it.
+pub fn ensure_kickcat() -> Result<PathBuf, SetupError> {
+    ensure_python("kickcat", KICKCAT, "")
 }
 
 /// A Python with `module` from the given version of PyPI's `package`.

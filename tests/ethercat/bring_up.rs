@@ -1,5 +1,6 @@
 //! Bring-up, motion, faults on the wire, lost slaves and their repair.
 
+use crate::again::clocks_are_on;
 use crate::rig::{idle_rig, rig};
 use etherpen::control::robot_axes::{AxisCommand, Demand};
 use etherpen::drives::cia402::{DriveState, DriveTarget};
@@ -11,17 +12,17 @@ use etherpen::robots::AXES;
 use host_tools::cell::Fault;
 
 #[test]
-fn four_drives_reach_op_enable_and_follow_their_demands() {
+pub(crate) fn four_drives_reach_op_enable_and_follow_their_demands() {
     turn_as_told(ExchangeKind::Split);
 }
 
 #[test]
-fn four_drives_do_the_same_when_inputs_and_outputs_are_exchanged_together() {
+pub(crate) fn four_drives_do_the_same_when_inputs_and_outputs_are_exchanged_together() {
     turn_as_told(ExchangeKind::Combined);
 }
 
 #[test]
-fn a_plan_is_adopted_once_and_not_in_every_cycle() {
+pub(crate) fn a_plan_is_adopted_once_and_not_in_every_cycle() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(20);
@@ -73,7 +74,7 @@ fn turn_as_told(exchange: ExchangeKind) {
 }
 
 #[test]
-fn a_quick_stop_brakes_with_the_ramp_that_was_written() {
+pub(crate) fn a_quick_stop_brakes_with_the_ramp_that_was_written() {
     let mut rig = rig("");
     rig.operational();
     rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
@@ -90,13 +91,15 @@ fn a_quick_stop_brakes_with_the_ramp_that_was_written() {
         rig.millisecond();
         assert!(rig.now_ms - started_ms < 100, "not at rest");
     }
-    // 2 rad/s with 100 rad/s2 take 20 ms, plus a few for the delay to the drive.
+    // 2 rad/s with 100 rad/s2 take 20 ms, plus a few for the delay to the drive. The drive reads its control word every
+    // second millisecond: where the demand of 0 comes one before it, the velocity loop takes half of the speed away.
     let took_ms = rig.now_ms - started_ms;
-    assert!((20..32).contains(&took_ms), "{took_ms} ms");
+    let shortest_ms = if clocks_are_on() { 14 } else { 20 };
+    assert!((shortest_ms..32).contains(&took_ms), "{took_ms} ms");
 }
 
 #[test]
-fn a_drive_fault_is_seen_in_the_status_word_and_reset_by_an_edge() {
+pub(crate) fn a_drive_fault_is_seen_in_the_status_word_and_reset_by_an_edge() {
     let mut rig = rig("");
     rig.operational();
     rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
@@ -108,7 +111,7 @@ fn a_drive_fault_is_seen_in_the_status_word_and_reset_by_an_edge() {
 }
 
 #[test]
-fn disturbed_frames_delay_the_bring_up_and_cost_single_cycles() {
+pub(crate) fn disturbed_frames_delay_the_bring_up_and_cost_single_cycles() {
     let script = "chance 0.01 drop\nchance 0.01 lose\nchance 0.01 delay 1\nchance 0.01 duplicate\n\
                   chance 0.01 truncate 30\nchance 0.01 index 7\nchance 0.01 foreign\nchance 0.01 counter 1\n";
     let mut rig = rig(script);
@@ -142,7 +145,7 @@ fn disturbed_frames_delay_the_bring_up_and_cost_single_cycles() {
 }
 
 #[test]
-fn a_slave_that_leaves_op_is_reported_with_its_code_and_repaired_while_the_others_go_on() {
+pub(crate) fn a_slave_that_leaves_op_is_reported_with_its_code_and_repaired_while_the_others_go_on() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(100);
@@ -166,7 +169,7 @@ fn a_slave_that_leaves_op_is_reported_with_its_code_and_repaired_while_the_other
 }
 
 #[test]
-fn a_bus_that_stood_still_falls_to_the_watchdog_and_is_recovered() {
+pub(crate) fn a_bus_that_stood_still_falls_to_the_watchdog_and_is_recovered() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(100);
@@ -183,7 +186,7 @@ fn a_bus_that_stood_still_falls_to_the_watchdog_and_is_recovered() {
 }
 
 #[test]
-fn a_power_cycled_slave_comes_back_without_a_reference() {
+pub(crate) fn a_power_cycled_slave_comes_back_without_a_reference() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(100);
@@ -209,7 +212,7 @@ fn a_power_cycled_slave_comes_back_without_a_reference() {
 }
 
 #[test]
-fn a_pulled_cable_is_reported_for_every_slave_behind_it_and_healed() {
+pub(crate) fn a_pulled_cable_is_reported_for_every_slave_behind_it_and_healed() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(100);
@@ -229,7 +232,7 @@ fn a_pulled_cable_is_reported_for_every_slave_behind_it_and_healed() {
 }
 
 #[test]
-fn a_bypassed_slave_is_reported_and_taken_back() {
+pub(crate) fn a_bypassed_slave_is_reported_and_taken_back() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(100);
@@ -242,7 +245,7 @@ fn a_bypassed_slave_is_reported_and_taken_back() {
 }
 
 #[test]
-fn a_mailbox_that_stays_silent_is_a_refusal_and_a_second_try_succeeds() {
+pub(crate) fn a_mailbox_that_stays_silent_is_a_refusal_and_a_second_try_succeeds() {
     let mut rig = rig("ms 60 silence 2 1500\n");
     rig.wait_for(5_000, |event| {
         matches!(

@@ -6,7 +6,7 @@ use etherpen::ethercat::supervisor::BusEvent;
 use host_tools::cell::Fault;
 
 #[test]
-fn a_damaged_cable_is_reported_with_the_slaves_at_its_ends() {
+pub(crate) fn a_damaged_cable_is_reported_with_the_slaves_at_its_ends() {
     let mut rig = rig("");
     rig.operational();
     rig.cell.inject(Fault::Crc(2, 3));
@@ -39,7 +39,7 @@ fn a_damaged_cable_is_reported_with_the_slaves_at_its_ends() {
 }
 
 #[test]
-fn an_emergency_is_fetched_reported_and_kept_for_who_asks() {
+pub(crate) fn an_emergency_is_fetched_reported_and_kept_for_who_asks() {
     const OVERCURRENT: u16 = 0x2310;
     let mut rig = rig("");
     rig.operational();

@@ -92,7 +92,7 @@ fn acknowledge(rig: &mut Rig<'_>) {
 }
 
 #[test]
-fn an_acknowledgement_leaves_a_drive_in_boot_and_repairs_it_after_the_transfer() {
+pub(crate) fn an_acknowledgement_leaves_a_drive_in_boot_and_repairs_it_after_the_transfer() {
     let mut rig = operational_drives();
     open(&mut rig);
     write_pieces(&mut rig, 0..5);
@@ -112,7 +112,7 @@ fn an_acknowledgement_leaves_a_drive_in_boot_and_repairs_it_after_the_transfer()
 }
 
 #[test]
-fn another_drive_is_repaired_while_one_is_in_boot() {
+pub(crate) fn another_drive_is_repaired_while_one_is_in_boot() {
     let mut rig = operational_drives();
     open(&mut rig);
     write_pieces(&mut rig, 0..5);
@@ -127,7 +127,7 @@ fn another_drive_is_repaired_while_one_is_in_boot() {
 }
 
 #[test]
-fn a_file_that_nobody_asks_for_in_10_s_protects_its_drive_no_more() {
+pub(crate) fn a_file_that_nobody_asks_for_in_10_s_protects_its_drive_no_more() {
     let mut rig = operational_drives();
     open(&mut rig);
     write_pieces(&mut rig, 0..5);
@@ -146,7 +146,7 @@ fn a_file_that_nobody_asks_for_in_10_s_protects_its_drive_no_more() {
 }
 
 #[test]
-fn a_new_configuration_leaves_a_drive_in_boot_and_takes_the_others_out_of_operation() {
+pub(crate) fn a_new_configuration_leaves_a_drive_in_boot_and_takes_the_others_out_of_operation() {
     let mut rig = operational_drives();
     open(&mut rig);
     write_pieces(&mut rig, 0..5);
@@ -172,7 +172,7 @@ fn a_new_configuration_leaves_a_drive_in_boot_and_takes_the_others_out_of_operat
 }
 
 #[test]
-fn a_failed_bus_is_brought_up_after_the_transfer_whatever_is_plugged_meanwhile() {
+pub(crate) fn a_failed_bus_is_brought_up_after_the_transfer_whatever_is_plugged_meanwhile() {
     let mut rig = drives();
     rig.cell.inject(Fault::Remove(4));
     rig.start();
@@ -196,7 +196,7 @@ fn a_failed_bus_is_brought_up_after_the_transfer_whatever_is_plugged_meanwhile()
 }
 
 #[test]
-fn a_stop_leaves_a_drive_in_boot() {
+pub(crate) fn a_stop_leaves_a_drive_in_boot() {
     let mut rig = operational_drives();
     open(&mut rig);
     write_pieces(&mut rig, 0..5);
@@ -209,7 +209,7 @@ fn a_stop_leaves_a_drive_in_boot() {
 }
 
 #[test]
-fn a_file_left_open_in_boot_is_closed_by_the_next_request_that_needs_the_mailbox() {
+pub(crate) fn a_file_left_open_in_boot_is_closed_by_the_next_request_that_needs_the_mailbox() {
     let mut rig = operational_drives();
     open(&mut rig);
     write_pieces(&mut rig, 0..5);

@@ -3,6 +3,7 @@
 use crate::rig::{Rig, idle_rig, rig};
 use etherpen::ethercat::cyclic::{BusCounters, IGNORED_KINDS, Ignored};
 use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest};
+use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::state::AlState;
 use etherpen::ethercat::supervisor::BusEvent;
 use etherpen::ethercat::wire::coe::Object;
@@ -122,7 +123,7 @@ fn stages() -> Vec<(&'static str, u64)> {
 }
 
 #[test]
-fn a_few_disturbed_frames_at_any_stage_of_the_bring_up_delay_it_only() {
+pub(crate) fn a_few_disturbed_frames_at_any_stage_of_the_bring_up_delay_it_only() {
     let stages = stages();
     println!("{stages:?}");
     for (text, ..) in KINDS {
@@ -135,7 +136,7 @@ fn a_few_disturbed_frames_at_any_stage_of_the_bring_up_delay_it_only() {
 }
 
 #[test]
-fn many_disturbed_frames_at_any_stage_of_the_bring_up_are_survived_or_refused_and_the_next_try_succeeds() {
+pub(crate) fn many_disturbed_frames_at_any_stage_of_the_bring_up_are_survived_or_refused_and_the_next_try_succeeds() {
     let mut refused = 0;
     for (text, ..) in KINDS {
         for (stage, first) in stages() {
@@ -154,7 +155,53 @@ fn many_disturbed_frames_at_any_stage_of_the_bring_up_are_survived_or_refused_an
 }
 
 #[test]
-fn a_frame_fault_in_op_costs_one_cycle_of_its_telegram_and_nothing_else() {
+pub(crate) fn a_mailbox_message_lost_on_its_way_is_given_again_and_its_request_is_not_sent_again() {
+    let undisturbed = {
+        let mut rig = rig("");
+        assert_eq!(come_up(&mut rig), 1);
+        rig.mail
+    };
+    println!("undisturbed: {undisturbed:?}");
+    assert!(undisturbed.answers >= 20 && undisturbed.repeats == 0);
+    for lost in 1..=undisturbed.answers {
+        let mut rig = rig("");
+        rig.mail.lost = lost;
+        assert_eq!(come_up(&mut rig), 1, "message {lost}: {:#?}", rig.log);
+        assert_well(&rig);
+        let (seen, expected) = (rig.mail, undisturbed);
+        assert_eq!(
+            seen.requests, expected.requests,
+            "message {lost}: no request is sent again"
+        );
+        assert_eq!(
+            (seen.answers, seen.repeats),
+            (expected.answers + 1, 1),
+            "message {lost} is asked for once and given once more"
+        );
+    }
+}
+
+#[test]
+pub(crate) fn a_message_that_a_slave_cannot_give_again_is_a_timeout_and_the_next_try_succeeds() {
+    let script: String = (1..=AXES)
+        .map(|slave| format!("ms 1 processor {slave} repeat ignored\n"))
+        .collect();
+    for lost in [1, 25, 58] {
+        let mut rig = rig(&script);
+        rig.mail.lost = lost;
+        rig.wait_for(10_000, |event| {
+            matches!(event, BusEvent::Refused { position: Some(_), error: BusError::MailboxTimeout { waited_ms }, .. }
+                if *waited_ms > 1_000)
+        });
+        rig.recover();
+        rig.operational();
+        rig.run_ms(SETTLED_MS);
+        assert_well(&rig);
+    }
+}
+
+#[test]
+pub(crate) fn a_frame_fault_in_op_costs_one_cycle_of_its_telegram_and_nothing_else() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(50);
@@ -196,7 +243,7 @@ fn a_frame_fault_in_op_costs_one_cycle_of_its_telegram_and_nothing_else() {
 }
 
 #[test]
-fn inputs_that_come_with_the_reply_to_the_outputs_are_too_late_for_their_cycle_only() {
+pub(crate) fn inputs_that_come_with_the_reply_to_the_outputs_are_too_late_for_their_cycle_only() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(50);
@@ -219,7 +266,7 @@ fn upload(rig: &mut Rig<'_>, slave: u8) -> Vec<u8> {
 }
 
 #[test]
-fn an_sdo_is_carried_out_once_whatever_happens_to_the_frames_meanwhile() {
+pub(crate) fn an_sdo_is_carried_out_once_whatever_happens_to_the_frames_meanwhile() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(50);
@@ -275,7 +322,7 @@ fn an_sdo_is_carried_out_once_whatever_happens_to_the_frames_meanwhile() {
 }
 
 #[test]
-fn a_second_master_finds_a_mailbox_in_use_and_is_answered_at_once_or_after_a_moment() {
+pub(crate) fn a_second_master_finds_a_mailbox_in_use_and_is_answered_at_once_or_after_a_moment() {
     // Each length of the first master's conversation leaves another counter behind.
     for messages in 1..=9 {
         let mut first = idle_rig("");

@@ -1,7 +1,7 @@
 //! Homing by the drive and its touch probe over the bus: `drives::homing` and `drives::probe` against a virtual CiA 402
 //! drive. The truth is the motor.
 
-use crate::rig::{Rig, idle_rig_of};
+use crate::rig::{OUTPUTS_AFTER_NS, Rig, idle_rig_of};
 use core::f64::consts::TAU;
 use core::task::{Context, Waker};
 use etherpen::config::Config;
@@ -51,9 +51,10 @@ fn download(object: Object, value: u32, length: usize) -> ServiceRequest {
 /// A millisecond in which the drive of the axis gets this control word; returns what it shows: status, position, and
 /// whether its former mode is in effect.
 fn millisecond(rig: &mut Rig<'_>, control: ControlWord) -> Option<(StatusWord, i32, bool)> {
-    let time_us = rig.now_ms * 1_000;
+    let time_ns = rig.sample_ns();
     let frame = rig.group.trigger_input().to_vec();
-    rig.transfer(&frame, time_us);
+    rig.transfer(&frame, time_ns);
+    rig.steer();
     rig.robot.read(&mut rig.group);
     let input = rig.group.read(AXIS);
     let output = DriveOutput {
@@ -62,7 +63,7 @@ fn millisecond(rig: &mut Rig<'_>, control: ControlWord) -> Option<(StatusWord, i
     };
     rig.group.write(AXIS, &output);
     let frame = rig.group.trigger_output().to_vec();
-    rig.transfer(&frame, time_us + 200);
+    rig.transfer(&frame, time_ns + OUTPUTS_AFTER_NS);
     let poll = rig.supervisor.as_mut().poll(&mut Context::from_waker(Waker::noop()));
     assert!(poll.is_pending());
     rig.now_ms += 1;
@@ -120,7 +121,7 @@ fn settings(method: i8, offset: i32) -> HomingSettings {
 }
 
 #[test]
-fn an_index_pulse_and_the_present_place_become_the_home_position() {
+pub(crate) fn an_index_pulse_and_the_present_place_become_the_home_position() {
     for (method, offset) in [(34, 0), (33, -12_345), (34, 700_000), (35, 5), (37, -5)] {
         let mut rig = rig();
         let before = motor_increments(&rig);
@@ -144,7 +145,7 @@ fn an_index_pulse_and_the_present_place_become_the_home_position() {
 }
 
 #[test]
-fn a_search_without_an_end_is_timed_out_and_a_fault_ends_it_at_rest() {
+pub(crate) fn a_search_without_an_end_is_timed_out_and_a_fault_ends_it_at_rest() {
     let mut rig = rig();
     let (progress, _) = home(&mut rig, &settings(17, 0), 300, None);
     assert_eq!(progress, HomingProgress::Failed(HomingFailure::TimeOut { cycles: 300 }));
@@ -180,7 +181,7 @@ fn upload(rig: &mut Rig<'_>, object: Object) -> u32 {
 }
 
 #[test]
-fn a_touch_probe_stores_the_place_of_the_next_index_pulse_each_time_it_is_armed() {
+pub(crate) fn a_touch_probe_stores_the_place_of_the_next_index_pulse_each_time_it_is_armed() {
     let mut rig = rig();
     rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
     let mut probe = Probe::new(ProbeSettings {

@@ -1,6 +1,10 @@
 //! The master against the virtual cell, in virtual time.
 
+#[macro_use]
+#[path = "../again/mod.rs"]
+mod again;
 mod bring_up;
+mod clocks;
 mod device_images;
 mod diagnosis;
 mod files;

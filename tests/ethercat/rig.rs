@@ -3,6 +3,7 @@
 //! Everything runs in virtual time: one millisecond is one input telegram, one output telegram, one poll of the
 //! supervisor.
 
+use crate::again::clocks_are_on;
 use core::future::Future;
 use core::pin::Pin;
 use core::task::{Context, Waker};
@@ -10,6 +11,7 @@ use etherpen::config::Config;
 use etherpen::control::robot_axes::{AxisCommand, AxisInput, Demand, RobotAxes};
 use etherpen::drives::cia402::{DriveState, DriveTarget};
 use etherpen::drives::io::IoTrigger;
+use etherpen::ethercat::clock::steering::{ClockReading, ClockSteering};
 use etherpen::ethercat::cyclic::BusCounters;
 use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest, ServiceResult};
 use etherpen::ethercat::supervisor::{BusCommand, BusEvent, Supervisor};
@@ -20,6 +22,9 @@ use heapless::spsc::{Consumer, Producer};
 use host_tools::cell::{Cell, CellOptions, Fault};
 
 const MAC: [u8; 6] = [0x10, 0, 0, 0, 0, 1];
+const PERIOD_NS: u64 = 1_000_000;
+/// Time from the input telegram to the output telegram.
+pub(crate) const OUTPUTS_AFTER_NS: u64 = 200_000;
 const NO_INPUTS: [Option<AxisInput>; AXES] = [None; AXES];
 
 /// A master, a cell, and a clock.
@@ -40,7 +45,54 @@ pub(crate) struct Rig<'a> {
     pub(crate) log: Vec<BusEvent>,
     /// Writes to AL control that the master has sent.
     pub(crate) state_requests: u32,
+    /// Mailbox messages on the wire, and the one whose frame is lost.
+    pub(crate) mail: Mail,
     pub(crate) now_ms: u64,
+    /// The reference clock and the number of its time.
+    clock: Option<(u16, u8)>,
+    /// Keeps the sample's phase to the clocks of the bus.
+    steering: ClockSteering,
+    /// Sum of its corrections, ns.
+    steered_ns: i64,
+}
+
+/// Mailbox messages that the slaves have taken and given, by the working counters on the wire.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Mail {
+    /// Requests taken.
+    pub(crate) requests: u32,
+    /// Messages given, repetitions too.
+    pub(crate) answers: u32,
+    /// Requests to give the last message again.
+    pub(crate) repeats: u32,
+    /// The message given whose frame is lost on its way to the master, from 1; 0 for none.
+    pub(crate) lost: u32,
+}
+
+/// The drives' mailboxes.
+const MAILBOX_OUT: u16 = 0x1800;
+const MAILBOX_IN: u16 = 0x1C00;
+
+impl Mail {
+    /// Counts the messages in a frame that has passed the slaves; returns whether it is to be lost.
+    fn passes(&mut self, reply: &[u8]) -> bool {
+        let Ok(view) = FrameView::new_checked(reply) else {
+            return false;
+        };
+        let before = self.answers;
+        for datagram in view.datagrams().filter_map(Result::ok) {
+            let (command, at) = (datagram.command_number(), datagram.address().register());
+            let is = |wanted: Command, register| command == wanted as u8 && at == register;
+            if datagram.working_counter() != 1 {
+                continue;
+            }
+            self.requests += u32::from(is(Command::Fpwr, MAILBOX_OUT));
+            self.answers += u32::from(is(Command::Fprd, MAILBOX_IN));
+            let activate = register::sync_manager(1) + register::SYNC_MANAGER_ACTIVATE_OFFSET;
+            self.repeats += u32::from(is(Command::Fpwr, activate));
+        }
+        (before + 1..=self.answers).contains(&self.lost)
+    }
 }
 
 /// Number of datagrams in a frame that write to AL control.
@@ -72,7 +124,8 @@ pub(crate) fn idle_rig(script: &str) -> Rig<'static> {
 
 /// A rig whose supervisor has no command yet, with these options of the cell.
 pub(crate) fn idle_rig_of(options: CellOptions) -> Rig<'static> {
-    let config = Config::default();
+    let mut config = Config::default();
+    config.bus.clocks = clocks_are_on();
     let queues = Box::leak(Box::new(RobotBusQueues::new()));
     let (exchange_end, supervisor_end, application) = queues.split();
     let setup = config.bus_setup();
@@ -94,7 +147,11 @@ pub(crate) fn idle_rig_of(options: CellOptions) -> Rig<'static> {
         output_fault: None,
         log: Vec::new(),
         state_requests: 0,
+        mail: Mail::default(),
         now_ms: 0,
+        clock: None,
+        steering: ClockSteering::new(PERIOD_NS as u32),
+        steered_ns: 0,
     }
 }
 
@@ -140,20 +197,23 @@ impl Rig<'_> {
         }
     }
 
-    pub(crate) fn transfer(&mut self, frame: &[u8], time_us: u64) {
+    pub(crate) fn transfer(&mut self, frame: &[u8], time_ns: u64) {
         if !frame.is_empty() {
             self.state_requests += state_requests(frame);
-            for reply in self.cell.frame(time_us, frame) {
-                self.group.arrived(&reply);
+            for reply in self.cell.frame_at_ns(time_ns, frame) {
+                if !self.mail.passes(&reply) {
+                    self.group.arrived(&reply);
+                }
             }
         }
     }
 
     /// Advances by one millisecond; returns the new events.
     pub(crate) fn millisecond(&mut self) -> &[BusEvent] {
-        let time_us = self.now_ms * 1000;
+        let time_ns = self.sample_ns();
         let frame = self.group.trigger_input().to_vec();
-        self.transfer(&frame, time_us);
+        self.transfer(&frame, time_ns);
+        self.steer();
         self.robot.read(&mut self.group);
         self.inputs = self.robot.inputs();
         self.robot.write(&mut self.group, &[self.command; AXES]);
@@ -161,7 +221,7 @@ impl Rig<'_> {
         if let Some(fault) = self.output_fault.take() {
             self.cell.inject(fault);
         }
-        self.transfer(&frame, time_us + 200);
+        self.transfer(&frame, time_ns + OUTPUTS_AFTER_NS);
         let poll = self.supervisor.as_mut().poll(&mut Context::from_waker(Waker::noop()));
         assert!(poll.is_pending());
         self.now_ms += 1;
@@ -170,6 +230,32 @@ impl Rig<'_> {
             self.log.push(event);
         }
         &self.log[before..]
+    }
+
+    /// Corrects the next sample's time by the clocks of the bus, as the firmware's sampler does.
+    pub(crate) fn steer(&mut self) {
+        let state = self.group.bus_state();
+        let clock = state.reference_clock.map(|station| (station, state.time_number));
+        let Some((_, time_number)) = clock else {
+            return;
+        };
+        if self.clock != clock {
+            match self.clock {
+                Some((_, before)) if before == time_number => self.steering.restart(),
+                _ => self.steering = ClockSteering::new(PERIOD_NS as u32),
+            }
+            self.clock = clock;
+        }
+        let correction_ns = self.steering.step(ClockReading {
+            reference_ns: state.clock_ns,
+            elapsed_ns: 0,
+        });
+        self.steered_ns += i64::from(correction_ns);
+    }
+
+    /// Time of this millisecond's input telegram, ns.
+    pub(crate) fn sample_ns(&self) -> u64 {
+        (self.now_ms * PERIOD_NS).saturating_add_signed(self.steered_ns)
     }
 
     pub(crate) fn run_ms(&mut self, duration_ms: u32) {

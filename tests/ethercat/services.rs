@@ -48,7 +48,7 @@ fn al_states(rig: &Rig<'_>) -> Vec<cell::AlState> {
 }
 
 #[test]
-fn without_a_bus_the_slaves_are_found_and_identified_and_nothing_is_configured() {
+pub(crate) fn without_a_bus_the_slaves_are_found_and_identified_and_nothing_is_configured() {
     let mut rig = idle_rig("");
     let Ok(ServiceReply::Bus(bus)) = rig.ask(ServiceRequest::Bus) else {
         panic!("no answer");
@@ -74,7 +74,7 @@ fn without_a_bus_the_slaves_are_found_and_identified_and_nothing_is_configured()
 }
 
 #[test]
-fn without_a_bus_an_sdo_brings_its_slave_to_preop_and_no_other() {
+pub(crate) fn without_a_bus_an_sdo_brings_its_slave_to_preop_and_no_other() {
     let mut rig = idle_rig("");
     let name = rig.value(upload(2, DEVICE_NAME));
     assert!(name.starts_with(b"AX2000"), "{name:?}");
@@ -83,7 +83,7 @@ fn without_a_bus_an_sdo_brings_its_slave_to_preop_and_no_other() {
 }
 
 #[test]
-fn registers_and_information_are_read_in_pieces() {
+pub(crate) fn registers_and_information_are_read_in_pieces() {
     let mut rig = idle_rig("");
     let address = register::TYPE;
     let length = 200;
@@ -100,7 +100,7 @@ fn registers_and_information_are_read_in_pieces() {
 }
 
 #[test]
-fn an_sdo_in_operation_disturbs_no_cyclic_data() {
+pub(crate) fn an_sdo_in_operation_disturbs_no_cyclic_data() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(20);
@@ -115,7 +115,7 @@ fn an_sdo_in_operation_disturbs_no_cyclic_data() {
 }
 
 #[test]
-fn switches_are_asked_for_in_init_and_preop_and_never_in_operation() {
+pub(crate) fn switches_are_asked_for_in_init_and_preop_and_never_in_operation() {
     let place = cell::PlaceOptions {
         identification: Some(7),
         ..cell::PlaceOptions::default()
@@ -145,7 +145,7 @@ fn switches_are_asked_for_in_init_and_preop_and_never_in_operation() {
 }
 
 #[test]
-fn an_abort_reaches_the_asker_with_object_and_code() {
+pub(crate) fn an_abort_reaches_the_asker_with_object_and_code() {
     let mut rig = rig("");
     rig.operational();
     let object = Object::new(0x5123, 4);
@@ -157,7 +157,7 @@ fn an_abort_reaches_the_asker_with_object_and_code() {
 }
 
 #[test]
-fn a_slave_left_in_preop_is_left_alone_until_it_is_asked_up_again_or_the_bus_is_repaired() {
+pub(crate) fn a_slave_left_in_preop_is_left_alone_until_it_is_asked_up_again_or_the_bus_is_repaired() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(20);
@@ -193,7 +193,7 @@ fn a_slave_left_in_preop_is_left_alone_until_it_is_asked_up_again_or_the_bus_is_
 }
 
 #[test]
-fn a_slave_that_is_asked_out_of_op_and_back_is_no_disturbance() {
+pub(crate) fn a_slave_that_is_asked_out_of_op_and_back_is_no_disturbance() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(20);
@@ -207,7 +207,7 @@ fn a_slave_that_is_asked_out_of_op_and_back_is_no_disturbance() {
 }
 
 #[test]
-fn a_slave_without_an_axis_gets_process_data_with_which_it_stays_in_op() {
+pub(crate) fn a_slave_without_an_axis_gets_process_data_with_which_it_stays_in_op() {
     let mut rig = idle_rig("");
     for target in [AlState::Operational, AlState::PreOperational, AlState::Operational] {
         let answer = rig.ask(set_state(3, target));
@@ -224,7 +224,7 @@ fn a_slave_without_an_axis_gets_process_data_with_which_it_stays_in_op() {
 }
 
 #[test]
-fn a_slave_that_falls_while_another_answers_slowly_is_noticed_within_100_ms() {
+pub(crate) fn a_slave_that_falls_while_another_answers_slowly_is_noticed_within_100_ms() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(50);
@@ -244,7 +244,7 @@ fn a_slave_that_falls_while_another_answers_slowly_is_noticed_within_100_ms() {
 }
 
 #[test]
-fn a_slave_lost_during_the_repair_of_another_is_noticed_within_100_ms_and_both_come_back() {
+pub(crate) fn a_slave_lost_during_the_repair_of_another_is_noticed_within_100_ms_and_both_come_back() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(50);
@@ -272,7 +272,7 @@ fn a_slave_lost_during_the_repair_of_another_is_noticed_within_100_ms_and_both_c
 }
 
 #[test]
-fn a_stop_sends_safe_outputs_first_and_ends_in_init() {
+pub(crate) fn a_stop_sends_safe_outputs_first_and_ends_in_init() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(50);
@@ -288,7 +288,7 @@ fn a_stop_sends_safe_outputs_first_and_ends_in_init() {
 }
 
 #[test]
-fn requests_while_the_bus_is_brought_up_are_answered_by_busy() {
+pub(crate) fn requests_while_the_bus_is_brought_up_are_answered_by_busy() {
     let mut rig = rig("");
     rig.run_ms(30);
     assert_eq!(rig.ask(ServiceRequest::Bus), Err(ServiceError::Busy));
@@ -297,7 +297,7 @@ fn requests_while_the_bus_is_brought_up_are_answered_by_busy() {
 }
 
 #[test]
-fn error_counters_name_the_slaves_at_both_ends_of_a_cable() {
+pub(crate) fn error_counters_name_the_slaves_at_both_ends_of_a_cable() {
     let mut rig = rig("");
     rig.operational();
     let Ok(ServiceReply::Errors(errors)) = rig.ask(ServiceRequest::Errors { slave: 2 }) else {
@@ -321,7 +321,7 @@ fn rig_with_stranger() -> Rig<'static> {
 }
 
 #[test]
-fn a_slave_without_a_driver_gets_the_sync_managers_that_it_describes_and_goes_to_op() {
+pub(crate) fn a_slave_without_a_driver_gets_the_sync_managers_that_it_describes_and_goes_to_op() {
     const STRANGER: u8 = AXES as u8;
     for is_running in [false, true] {
         let mut rig = rig_with_stranger();

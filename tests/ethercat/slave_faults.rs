@@ -48,7 +48,7 @@ fn assert_well(rig: &mut Rig<'_>, what: &str) {
 }
 
 #[test]
-fn a_refused_state_is_reported_with_its_code_even_0_and_reached_at_the_next_try() {
+pub(crate) fn a_refused_state_is_reported_with_its_code_even_0_and_reached_at_the_next_try() {
     use cell::AlState::{Operational, PreOperational, SafeOperational};
     for state in [PreOperational, SafeOperational, Operational] {
         for code in [0, 0x0016, 0x001B, 0x001D, 0xFFFF] {
@@ -84,7 +84,7 @@ fn a_refused_state_is_reported_with_its_code_even_0_and_reached_at_the_next_try(
 }
 
 #[test]
-fn a_slave_that_falls_back_in_op_with_any_code_is_named_and_repaired_and_disturbs_no_other() {
+pub(crate) fn a_slave_that_falls_back_in_op_with_any_code_is_named_and_repaired_and_disturbs_no_other() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(50);
@@ -118,7 +118,7 @@ fn a_slave_that_falls_back_in_op_with_any_code_is_named_and_repaired_and_disturb
 }
 
 #[test]
-fn a_slave_that_falls_back_during_the_bring_up_ends_it_and_the_next_try_succeeds() {
+pub(crate) fn a_slave_that_falls_back_during_the_bring_up_ends_it_and_the_next_try_succeeds() {
     let mut clean = rig("");
     let whole_ms = clean.operational();
     for part in 1..12 {
@@ -141,7 +141,7 @@ fn a_slave_that_falls_back_during_the_bring_up_ends_it_and_the_next_try_succeeds
 }
 
 #[test]
-fn an_information_memory_that_fails_is_named_and_one_that_is_whole_again_is_read() {
+pub(crate) fn an_information_memory_that_fails_is_named_and_one_that_is_whole_again_is_read() {
     for fault in [
         SiiFault::Busy,
         SiiFault::Acknowledge,
@@ -174,7 +174,7 @@ fn an_information_memory_that_fails_is_named_and_one_that_is_whole_again_is_read
 }
 
 #[test]
-fn a_mailbox_fault_at_any_step_of_the_bring_up_is_overcome_or_named_and_the_next_try_succeeds() {
+pub(crate) fn a_mailbox_fault_at_any_step_of_the_bring_up_is_overcome_or_named_and_the_next_try_succeeds() {
     let faults = [
         MailFault::Abort(0x0800_0020),
         MailFault::Silent,
@@ -208,7 +208,7 @@ fn a_mailbox_fault_at_any_step_of_the_bring_up_is_overcome_or_named_and_the_next
 }
 
 #[test]
-fn a_mailbox_fault_in_op_reaches_the_asker_or_is_overcome_and_costs_no_cyclic_data() {
+pub(crate) fn a_mailbox_fault_in_op_reaches_the_asker_or_is_overcome_and_costs_no_cyclic_data() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(50);
@@ -252,7 +252,7 @@ struct Change {
 }
 
 #[test]
-fn slaves_and_cables_that_go_and_come_are_noticed_in_time_and_taken_back() {
+pub(crate) fn slaves_and_cables_that_go_and_come_are_noticed_in_time_and_taken_back() {
     let changes = [
         Change {
             what: "slave 3 is bypassed",
@@ -339,7 +339,7 @@ fn slaves_and_cables_that_go_and_come_are_noticed_in_time_and_taken_back() {
 }
 
 #[test]
-fn a_slave_that_is_replaced_during_repairs_while_those_behind_it_are_away_takes_its_own_place() {
+pub(crate) fn a_slave_that_is_replaced_during_repairs_while_those_behind_it_are_away_takes_its_own_place() {
     for away in [Fault::Cut(2), Fault::Remove(3), Fault::Remove(4)] {
         for delay_ms in (4..160).step_by(16) {
             let what = format!("{away:?}, {delay_ms} ms");
@@ -372,7 +372,7 @@ fn a_slave_that_is_replaced_during_repairs_while_those_behind_it_are_away_takes_
 }
 
 #[test]
-fn a_slave_that_returns_while_another_is_identified_at_its_place_loses_nothing() {
+pub(crate) fn a_slave_that_returns_while_another_is_identified_at_its_place_loses_nothing() {
     for delay_ms in 0..60 {
         let mut rig = rig("");
         rig.operational();
@@ -394,7 +394,7 @@ fn a_slave_that_returns_while_another_is_identified_at_its_place_loses_nothing()
 }
 
 #[test]
-fn a_slave_that_returns_before_one_that_is_being_identified_costs_no_other_its_address() {
+pub(crate) fn a_slave_that_returns_before_one_that_is_being_identified_costs_no_other_its_address() {
     let mut touched = Vec::new();
     for delay_ms in 0..60 {
         let mut rig = rig("");
@@ -430,7 +430,7 @@ fn a_slave_that_returns_before_one_that_is_being_identified_costs_no_other_its_a
 }
 
 #[test]
-fn another_product_in_a_slaves_place_is_refused_until_the_right_one_is_back() {
+pub(crate) fn another_product_in_a_slaves_place_is_refused_until_the_right_one_is_back() {
     for product in [Product::Cia402, Product::Ek1100] {
         let mut rig = rig("");
         rig.operational();
@@ -502,7 +502,7 @@ fn a_drive_that_only_its_device_type_tells_is_replaced_by_one_with_another_seria
 }
 
 #[test]
-fn an_extra_slave_is_reported_and_gets_no_process_data() {
+pub(crate) fn an_extra_slave_is_reported_and_gets_no_process_data() {
     let mut rig = idle_rig_of(CellOptions {
         slaves: vec![SlaveKind::Ax2000; AXES + 1],
         ..CellOptions::default()
@@ -529,7 +529,7 @@ fn an_extra_slave_is_reported_and_gets_no_process_data() {
 }
 
 #[test]
-fn a_cable_that_destroys_frames_costs_these_frames_and_is_named_by_its_ends() {
+pub(crate) fn a_cable_that_destroys_frames_costs_these_frames_and_is_named_by_its_ends() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(300);
@@ -563,7 +563,7 @@ fn a_cable_that_destroys_frames_costs_these_frames_and_is_named_by_its_ends() {
 }
 
 #[test]
-fn a_slave_whose_processor_hangs_costs_the_others_nothing_and_is_usable_again() {
+pub(crate) fn a_slave_whose_processor_hangs_costs_the_others_nothing_and_is_usable_again() {
     let mut rig = rig("");
     rig.operational();
     rig.run_ms(50);

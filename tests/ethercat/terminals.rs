@@ -61,7 +61,7 @@ impl Rig<'_> {
 }
 
 #[test]
-fn terminals_of_any_chain_exchange_their_bits_beside_the_drives() {
+pub(crate) fn terminals_of_any_chain_exchange_their_bits_beside_the_drives() {
     const KINDS: [(SlaveKind, u8, u8); 5] = [
         (SlaveKind::Ek1100, 0, 0),
         (SlaveKind::El1004, 4, 0),
@@ -133,7 +133,7 @@ fn terminals_of_any_chain_exchange_their_bits_beside_the_drives() {
 }
 
 #[test]
-fn a_terminal_that_fails_disturbs_no_drive_and_comes_back_on_command() {
+pub(crate) fn a_terminal_that_fails_disturbs_no_drive_and_comes_back_on_command() {
     // The terminals lie behind the drives, so that the drives stay connected.
     for exchange in [ExchangeKind::Split, ExchangeKind::Combined] {
         for fault in [
@@ -184,7 +184,7 @@ fn a_terminal_that_fails_disturbs_no_drive_and_comes_back_on_command() {
 }
 
 #[test]
-fn a_terminal_that_cannot_be_read_is_refused_and_the_drives_operate() {
+pub(crate) fn a_terminal_that_cannot_be_read_is_refused_and_the_drives_operate() {
     for fault in [SiiFault::Busy, SiiFault::Acknowledge, SiiFault::Damaged] {
         let mut rig = rig_of(
             parse_slaves("ek1100,el1008,ax2000*4,el2004").unwrap(),
@@ -223,7 +223,7 @@ fn a_terminal_that_cannot_be_read_is_refused_and_the_drives_operate() {
 }
 
 #[test]
-fn a_chain_in_which_a_named_place_may_be_another_slave_waits_for_the_missing_one() {
+pub(crate) fn a_chain_in_which_a_named_place_may_be_another_slave_waits_for_the_missing_one() {
     // Without the coupler, the outputs would stand at the place of the inputs.
     for removed in [5, 6, 7, 2] {
         let mut rig = rig_of(
@@ -260,7 +260,7 @@ fn a_chain_in_which_a_named_place_may_be_another_slave_waits_for_the_missing_one
 }
 
 #[test]
-fn outputs_become_0_when_the_bus_is_stopped_and_values_are_found_by_their_objects() {
+pub(crate) fn outputs_become_0_when_the_bus_is_stopped_and_values_are_found_by_their_objects() {
     let mut rig = rig_of(
         parse_slaves("ek1100,el1008,el2004,ax2000*4").unwrap(),
         ExchangeKind::Split,
@@ -312,7 +312,7 @@ fn outputs_become_0_when_the_bus_is_stopped_and_values_are_found_by_their_object
 }
 
 #[test]
-fn a_drive_that_is_named_as_a_terminal_is_no_axis_wherever_it_is() {
+pub(crate) fn a_drive_that_is_named_as_a_terminal_is_no_axis_wherever_it_is() {
     for named in [0, 2, 4] {
         let mut rig = rig_of(vec![SlaveKind::Ax2000; AXES + 1], ExchangeKind::Split);
         rig.setup.terminals = SlaveSet::places(&[named]);

@@ -17,7 +17,7 @@ fn without_fourth() -> Config {
 }
 
 #[test]
-fn a_robot_without_its_fourth_axis_draws_the_same_lines() {
+pub(crate) fn a_robot_without_its_fourth_axis_draws_the_same_lines() {
     let mut whole = Robot::idle_with(&Config::default()).in_a_drawing();
     whole.run_until("the path is executed", Robot::has_drawn);
     let mut robot = Robot::idle_with(&without_fourth()).in_a_drawing();
@@ -30,7 +30,7 @@ fn a_robot_without_its_fourth_axis_draws_the_same_lines() {
 }
 
 #[test]
-fn faults_of_a_robot_without_its_fourth_axis_are_told_as_with_it_and_it_comes_back() {
+pub(crate) fn faults_of_a_robot_without_its_fourth_axis_are_told_as_with_it_and_it_comes_back() {
     for slave in [1, 3] {
         let mut robot = Robot::idle_with(&without_fourth()).in_a_drawing();
         robot.inject(CellFault::Drive(slave, 0x2310));

@@ -12,7 +12,7 @@ use host_tools::cell::{DriveState, Fault as CellFault};
 const BY_INPUT: Fault = Fault::EmergencyStop(StopSource::Input);
 
 #[test]
-fn an_open_emergency_stop_is_a_quick_stop_that_no_acknowledgement_ends() {
+pub(crate) fn an_open_emergency_stop_is_a_quick_stop_that_no_acknowledgement_ends() {
     let mut robot = Robot::drawing();
     robot.emergency_stop(true);
     let mut quick_stop_after_ms = None;
@@ -46,7 +46,7 @@ fn an_open_emergency_stop_is_a_quick_stop_that_no_acknowledgement_ends() {
 }
 
 #[test]
-fn a_pulse_on_the_emergency_stop_wire_stops_nothing() {
+pub(crate) fn a_pulse_on_the_emergency_stop_wire_stops_nothing() {
     let mut robot = Robot::drawing();
     for _ in 0..20 {
         robot.emergency_stop(true);
@@ -59,7 +59,7 @@ fn a_pulse_on_the_emergency_stop_wire_stops_nothing() {
 }
 
 #[test]
-fn an_open_emergency_stop_while_another_fault_is_latched_keeps_it_latched() {
+pub(crate) fn an_open_emergency_stop_while_another_fault_is_latched_keeps_it_latched() {
     let mut robot = Robot::drawing();
     robot.command(Command::Stop).unwrap();
     robot.wait_for(Mode::Fault);
@@ -80,7 +80,7 @@ fn an_open_emergency_stop_while_another_fault_is_latched_keeps_it_latched() {
 }
 
 #[test]
-fn an_emergency_stop_that_is_open_from_the_start_is_acknowledged_once_it_is_closed() {
+pub(crate) fn an_emergency_stop_that_is_open_from_the_start_is_acknowledged_once_it_is_closed() {
     let mut robot = Robot::new();
     robot.emergency_stop(true);
     robot.wait_for(Mode::Fault);
@@ -98,7 +98,7 @@ fn an_emergency_stop_that_is_open_from_the_start_is_acknowledged_once_it_is_clos
 }
 
 #[test]
-fn a_pulled_cable_is_told_as_such_and_the_bus_comes_back_with_it() {
+pub(crate) fn a_pulled_cable_is_told_as_such_and_the_bus_comes_back_with_it() {
     let mut robot = Robot::drawing();
     for _ in 0..400 {
         robot.inject(CellFault::Lose);
@@ -120,7 +120,7 @@ fn a_pulled_cable_is_told_as_such_and_the_bus_comes_back_with_it() {
 }
 
 #[test]
-fn a_board_without_link_at_the_start_waits_for_it_and_then_says_so() {
+pub(crate) fn a_board_without_link_at_the_start_waits_for_it_and_then_says_so() {
     for (state, wait_ms) in [(PortState::Down, 2_000), (PortState::NoPhy, 4_000)] {
         let mut robot = Robot::new();
         robot.port(state);
@@ -149,7 +149,7 @@ fn a_board_without_link_at_the_start_waits_for_it_and_then_says_so() {
 }
 
 #[test]
-fn a_failed_clock_stops_the_drives_and_nothing_moves_on_its_substitute() {
+pub(crate) fn a_failed_clock_stops_the_drives_and_nothing_moves_on_its_substitute() {
     let mut robot = Robot::drawing();
     robot.surround(|around| around.substitute_clock = true);
     assert_described_standstill(&mut robot, |fault| *fault == Fault::ClockFailure);
@@ -159,7 +159,7 @@ fn a_failed_clock_stops_the_drives_and_nothing_moves_on_its_substitute() {
 }
 
 #[test]
-fn a_trajectory_task_that_is_late_by_most_of_its_period_costs_nothing() {
+pub(crate) fn a_trajectory_task_that_is_late_by_most_of_its_period_costs_nothing() {
     let mut robot = Robot::drawing();
     for _ in 0..20 {
         robot.surround(|around| around.trajectory_waits = true);
@@ -174,7 +174,7 @@ fn a_trajectory_task_that_is_late_by_most_of_its_period_costs_nothing() {
 }
 
 #[test]
-fn a_trajectory_task_that_hangs_in_motion_is_a_quick_stop() {
+pub(crate) fn a_trajectory_task_that_hangs_in_motion_is_a_quick_stop() {
     let mut robot = Robot::drawing();
     robot.surround(|around| around.trajectory_waits = true);
     assert_described_standstill(&mut robot, |fault| *fault == Fault::SetpointUnderrun);
@@ -186,7 +186,7 @@ fn a_trajectory_task_that_hangs_in_motion_is_a_quick_stop() {
 }
 
 #[test]
-fn bytes_that_the_serial_port_overruns_are_sent_again_and_the_drawing_is_the_same() {
+pub(crate) fn bytes_that_the_serial_port_overruns_are_sent_again_and_the_drawing_is_the_same() {
     let draw = |overrun| {
         let mut robot = Robot::idle();
         robot.overrun = overrun;
@@ -221,7 +221,7 @@ fn bytes_that_the_serial_port_overruns_are_sent_again_and_the_drawing_is_the_sam
 }
 
 #[test]
-fn errors_of_the_ethernet_dma_are_told_and_a_drawing_survives_the_frames_that_they_cost() {
+pub(crate) fn errors_of_the_ethernet_dma_are_told_and_a_drawing_survives_the_frames_that_they_cost() {
     let mut robot = Robot::drawing();
     for errors in 1..=3 {
         // The controller's reset takes less than two milliseconds; both telegrams of each are lost.
@@ -240,7 +240,7 @@ fn errors_of_the_ethernet_dma_are_told_and_a_drawing_survives_the_frames_that_th
 }
 
 #[test]
-fn the_emulated_board_stops_for_its_emergency_stop_input_and_for_its_clock_and_recovers() {
+pub(crate) fn the_emulated_board_stops_for_its_emergency_stop_input_and_for_its_clock_and_recovers() {
     let mut robot = Robot::emulated_drawing();
     robot.disturb(disturbance::EMERGENCY_STOP);
     assert_described_standstill(&mut robot, |fault| *fault == BY_INPUT);

@@ -80,12 +80,12 @@ fn walk(seed: u64) {
 }
 
 #[test]
-fn whatever_was_pressed_at_once_the_robot_draws_afterwards() {
+pub(crate) fn whatever_was_pressed_at_once_the_robot_draws_afterwards() {
     SEEDS.for_each(walk);
 }
 
 #[test]
-fn a_reference_and_a_motion_at_once_never_leave_the_robot_moving() {
+pub(crate) fn a_reference_and_a_motion_at_once_never_leave_the_robot_moving() {
     let position = Position {
         x_mm: 20.0,
         y_mm: 0.0,

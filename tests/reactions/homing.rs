@@ -46,7 +46,7 @@ fn assert_knows_its_pose(robot: &mut Robot) {
 }
 
 #[test]
-fn a_gantry_finds_its_switches_from_wherever_it_stands_and_never_touches_an_end_stop() {
+pub(crate) fn a_gantry_finds_its_switches_from_wherever_it_stands_and_never_touches_an_end_stop() {
     for seed in 1..=4 {
         let mut robot = powered(seed);
         let from = robot.cell().joints.0;
@@ -66,9 +66,9 @@ fn a_gantry_finds_its_switches_from_wherever_it_stands_and_never_touches_an_end_
         assert_eq!((robot.mode(), robot.fault()), (Mode::Idle, None));
         assert_knows_its_pose(&mut robot);
         assert_eq!(robot.cell().end_stop_ms, 0);
-        // The speeds of the file, 60, 60 and 20 mm/s, and what a drive overshoots.
+        // The speeds of the file, 60, 60 and 20 mm/s, and what a drive overshoots; with clocks its outputs come later.
         assert!(
-            fastest[0] < 0.66 && fastest[1] < 0.66 && fastest[2] < 0.22,
+            fastest[0] < 0.66 && fastest[1] < 0.66 && fastest[2] < 0.23,
             "{fastest:?}"
         );
         println!("seed {seed}: from {from:?} rad in {ms} ms, fastest {fastest:?} rad/s");
@@ -76,7 +76,7 @@ fn a_gantry_finds_its_switches_from_wherever_it_stands_and_never_touches_an_end_
 }
 
 #[test]
-fn an_axis_that_stands_at_its_switch_leaves_it_first() {
+pub(crate) fn an_axis_that_stands_at_its_switch_leaves_it_first() {
     let mut robot = powered(1);
     robot.command(Command::Home).unwrap();
     // The switch of the height stands at 3 mm.
@@ -150,7 +150,7 @@ fn a_way_that_is_too_short_ends_the_search_before_the_end_stop() {
 type Failing = fn(&mut Robot, bool);
 
 #[test]
-fn each_failure_of_a_switch_ends_at_standstill_with_its_cause_and_the_machine_comes_back() {
+pub(crate) fn each_failure_of_a_switch_ends_at_standstill_with_its_cause_and_the_machine_comes_back() {
     let failures: [(&str, SearchFailure, Failing); 2] = [
         ("the wires are broken", SearchFailure::StaysOpen, |robot, fails| {
             robot.change_cell(|cell| cell.break_switches(fails));
@@ -187,7 +187,7 @@ fn comes_back(robot: &mut Robot) {
 }
 
 #[test]
-fn a_search_ends_at_a_stop_a_lost_terminal_a_lost_drive_and_a_silent_host() {
+pub(crate) fn a_search_ends_at_a_stop_a_lost_terminal_a_lost_drive_and_a_silent_host() {
     let mut robot = powered(3);
     robot.command(Command::Home).unwrap();
     robot.run(300);

@@ -161,7 +161,7 @@ impl Robot {
 }
 
 #[test]
-fn an_open_stop_or_door_is_a_quick_stop_at_once_at_any_speed_and_heals() {
+pub(crate) fn an_open_stop_or_door_is_a_quick_stop_at_once_at_any_speed_and_heals() {
     for chain in [BEHIND, BEFORE] {
         for (io, contact) in [(IO_STOP, STOP), (IO_DOOR, DOOR)] {
             for percent in [10, 100, 200] {
@@ -186,7 +186,7 @@ fn an_open_stop_or_door_is_a_quick_stop_at_once_at_any_speed_and_heals() {
 }
 
 #[test]
-fn without_power_an_open_door_keeps_it_away_and_an_open_stop_is_a_fault() {
+pub(crate) fn without_power_an_open_door_keeps_it_away_and_an_open_stop_is_a_fault() {
     let mut robot = BEHIND.robot();
     robot.configure(&BEHIND.config());
     robot.wait_for(Mode::DrivesOff);
@@ -205,7 +205,7 @@ fn without_power_an_open_door_keeps_it_away_and_an_open_stop_is_a_fault() {
 }
 
 #[test]
-fn a_lost_terminal_with_a_stop_stops_the_robot_and_comes_back_after_the_acknowledgement() {
+pub(crate) fn a_lost_terminal_with_a_stop_stops_the_robot_and_comes_back_after_the_acknowledgement() {
     for fault in [CellFault::Remove(6), CellFault::Power(6, 2_000)] {
         for percent in [10, 100] {
             let mut robot = BEHIND.fast(percent);
@@ -236,7 +236,7 @@ fn a_lost_terminal_with_a_stop_stops_the_robot_and_comes_back_after_the_acknowle
 }
 
 #[test]
-fn a_cut_cable_names_the_slave_that_was_lost_before_the_inputs_that_depend_on_it() {
+pub(crate) fn a_cut_cable_names_the_slave_that_was_lost_before_the_inputs_that_depend_on_it() {
     // The cable to the terminal itself, and the one to a drive before it.
     for (slaves, lost) in [(5, 5), (1, 1)] {
         for percent in [10, 100] {
@@ -285,7 +285,7 @@ fn output_byte(chain: Chain) -> IoPoint {
 }
 
 #[test]
-fn an_output_with_two_names_is_refused_with_both_and_stays_off() {
+pub(crate) fn an_output_with_two_names_is_refused_with_both_and_stays_off() {
     for chain in [BEHIND, BEFORE] {
         // The valve by its bit, the lamp that the controller switches on, a byte over the light's object.
         let shares = [
@@ -328,7 +328,7 @@ fn an_output_with_two_names_is_refused_with_both_and_stays_off() {
 }
 
 #[test]
-fn a_terminal_that_stays_lost_refuses_the_acknowledgement_with_its_name() {
+pub(crate) fn a_terminal_that_stays_lost_refuses_the_acknowledgement_with_its_name() {
     let mut robot = BEHIND.robot().enabled().in_a_drawing();
     robot.inject(CellFault::Remove(6));
     robot.wait_for(Mode::Fault);
@@ -343,7 +343,7 @@ fn a_terminal_that_stays_lost_refuses_the_acknowledgement_with_its_name() {
 }
 
 #[test]
-fn a_terminal_without_a_stop_is_reported_and_disturbs_no_drawing() {
+pub(crate) fn a_terminal_without_a_stop_is_reported_and_disturbs_no_drawing() {
     for fault in [CellFault::Remove(7), CellFault::Power(7, 1_000)] {
         let mut robot = BEHIND.robot().enabled();
         robot.set(IO_VALVE, 1).unwrap();
@@ -376,7 +376,7 @@ fn a_terminal_without_a_stop_is_reported_and_disturbs_no_drawing() {
 }
 
 #[test]
-fn a_spare_drive_as_a_terminal_shows_its_objects_and_disturbs_no_drawing_in_any_state() {
+pub(crate) fn a_spare_drive_as_a_terminal_shows_its_objects_and_disturbs_no_drawing_in_any_state() {
     let mut config = Config::default();
     let word = IoPoint {
         name: "spare".try_into().unwrap(),
@@ -423,7 +423,7 @@ fn a_spare_drive_as_a_terminal_shows_its_objects_and_disturbs_no_drawing_in_any_
 }
 
 #[test]
-fn a_drive_behind_terminals_is_named_by_its_place() {
+pub(crate) fn a_drive_behind_terminals_is_named_by_its_place() {
     let mut robot = BEFORE.robot().enabled().in_a_drawing();
     robot.inject(CellFault::Remove(5));
     assert_described_standstill(&mut robot, |fault| matches!(fault, Fault::SlaveLost { slave: 4 }));
@@ -439,7 +439,7 @@ fn a_drive_behind_terminals_is_named_by_its_place() {
 }
 
 #[test]
-fn outputs_are_set_when_the_mode_allows_and_fall_to_their_safe_state_at_a_fault() {
+pub(crate) fn outputs_are_set_when_the_mode_allows_and_fall_to_their_safe_state_at_a_fault() {
     let mut robot = BEHIND.robot();
     robot.configure(&BEHIND.config());
     assert!(matches!(
@@ -485,7 +485,7 @@ fn outputs_are_set_when_the_mode_allows_and_fall_to_their_safe_state_at_a_fault(
 }
 
 #[test]
-fn a_stop_over_the_link_and_a_lost_drive_switch_the_outputs_off_too() {
+pub(crate) fn a_stop_over_the_link_and_a_lost_drive_switch_the_outputs_off_too() {
     for lost in [false, true] {
         let mut robot = BEHIND.robot().enabled();
         robot.set(IO_VALVE, 1).unwrap();
@@ -505,7 +505,7 @@ fn a_stop_over_the_link_and_a_lost_drive_switch_the_outputs_off_too() {
 }
 
 #[test]
-fn an_open_hold_holds_the_drawing_and_start_resumes_it() {
+pub(crate) fn an_open_hold_holds_the_drawing_and_start_resumes_it() {
     let mut robot = BEHIND.robot().enabled().in_a_drawing();
     robot.set_inputs(6, CLOSED & !HOLD);
     robot.wait_for(Mode::Holding);
@@ -533,7 +533,7 @@ fn an_open_hold_holds_the_drawing_and_start_resumes_it() {
 }
 
 #[test]
-fn start_switches_the_drives_on_only_when_it_closes() {
+pub(crate) fn start_switches_the_drives_on_only_when_it_closes() {
     let mut robot = BEHIND.robot();
     robot.set_inputs(6, CLOSED | START);
     robot.configure(&BEHIND.config());
@@ -551,7 +551,7 @@ fn start_switches_the_drives_on_only_when_it_closes() {
 }
 
 #[test]
-fn the_lamp_shows_every_mode() {
+pub(crate) fn the_lamp_shows_every_mode() {
     let mut robot = BEHIND.robot();
     robot.configure(&BEHIND.config());
     robot.wait_for(Mode::DrivesOff);
@@ -591,7 +591,7 @@ fn the_lamp_shows_every_mode() {
 }
 
 #[test]
-fn a_configuration_with_a_wrong_point_is_refused_with_its_reason() {
+pub(crate) fn a_configuration_with_a_wrong_point_is_refused_with_its_reason() {
     let mut config = BEHIND.config();
     config.io[3].name = config.io[1].name.clone();
     let mut robot = BEHIND.robot();
@@ -627,7 +627,7 @@ fn two_input_terminals() -> (Config, CellOptions) {
 }
 
 #[test]
-fn terminals_at_each_others_places_are_refused_with_both_and_draw_when_they_are_put_back() {
+pub(crate) fn terminals_at_each_others_places_are_refused_with_both_and_draw_when_they_are_put_back() {
     let exchanged = CellFault::Recable(6, 8);
     for at_bring_up in [true, false] {
         let (config, options) = two_input_terminals();
@@ -683,7 +683,7 @@ fn terminals_at_each_others_places_are_refused_with_both_and_draw_when_they_are_
 }
 
 #[test]
-fn a_terminal_of_another_product_than_expected_is_refused_and_the_right_one_is_taken_in_its_place() {
+pub(crate) fn a_terminal_of_another_product_than_expected_is_refused_and_the_right_one_is_taken_in_its_place() {
     let mut config = BEHIND.config();
     let expected = Terminal {
         slave: 5,

@@ -7,7 +7,7 @@ use etherpen::config::Config;
 use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest};
 use etherpen::ethercat::state::AlState as Wanted;
 use etherpen::messages::Command;
-use host_tools::cell::{AlState, CellOptions, Fault as CellFault, Product, SiiFault};
+use host_tools::cell::{AlState, CellOptions, ClockOptions, Fault as CellFault, Product, SiiFault};
 
 /// Longest time from an acknowledgement to what follows from it, ms.
 const ANSWER_MAX_MS: u32 = 15_000;
@@ -190,6 +190,66 @@ fn drives_that_were_off_or_away_for_long_get_the_time_back_with_one_acknowledgem
         assert_eq!(differences.len(), 4);
         assert!(differences.iter().all(|off_ns| off_ns.abs() < 1_000));
         assert_eq!(come_back(&mut robot, 0), 0);
+    }
+}
+
+/// True differences of the clocks of these slaves, from 1, from that of the first of them, ns.
+fn true_differences_ns(robot: &mut Robot, slaves: &[usize]) -> Vec<i64> {
+    let mut times_ns = Vec::new();
+    robot.change_cell(|cell| times_ns = cell.system_times_ns());
+    let time_ns = |slave: usize| times_ns[slave - 1].expect("a clock");
+    let off_ns = |slave: &usize| time_ns(*slave).wrapping_sub(time_ns(slaves[0])) as i64;
+    slaves.iter().map(off_ns).collect()
+}
+
+/// Asserts that the clocks of these slaves truly show the same time, to a microsecond.
+fn assert_truly_agree(robot: &mut Robot, slaves: &[usize], when: &str) {
+    let differences_ns = true_differences_ns(robot, slaves);
+    println!("    {when}: {differences_ns:?} ns");
+    assert!(differences_ns.iter().all(|off_ns| off_ns.abs() < 1_000), "{when}");
+}
+
+/// A drawing robot with clocks and 400 m of cable between any two slaves: delays count from the reference, so those from
+/// another slave are wrong by microseconds.
+fn drawing_over_long_cables() -> Robot {
+    let mut config = Config::default();
+    config.bus.clocks = true;
+    let options = CellOptions {
+        clocks: ClockOptions {
+            cable_ns: 2_000,
+            ..ClockOptions::default()
+        },
+        ..CellOptions::default()
+    };
+    Robot::of(&config, options).enabled().in_a_drawing()
+}
+
+#[test]
+fn clocks_agree_in_truth_when_another_slave_becomes_the_reference_and_when_the_first_is_back() {
+    for slave in [1, 2] {
+        for (lost, returned) in [
+            (CellFault::Remove(slave), CellFault::Insert(slave)),
+            (CellFault::Power(slave, 4_000), CellFault::Join),
+        ] {
+            println!("{lost:?}");
+            let mut robot = drawing_over_long_cables();
+            robot.run(2_000);
+            assert_truly_agree(&mut robot, &[1, 2, 3, 4], "before");
+            robot.inject(lost);
+            robot.run(3_000);
+            let others: Vec<usize> = (1..=4)
+                .filter(|other| *other != slave && robot.cell().slaves[other - 1].reached)
+                .collect();
+            assert_truly_agree(&mut robot, &others, "without it");
+            robot.inject(returned);
+            robot.run(2_000);
+            assert_truly_agree(&mut robot, &others, "returned");
+            assert_eq!(acknowledge(&mut robot), None);
+            robot.run(1_000);
+            assert_truly_agree(&mut robot, &[1, 2, 3, 4], "taken back");
+            assert_eq!(come_back(&mut robot, 0), 0);
+            assert_truly_agree(&mut robot, &[1, 2, 3, 4], "drawn");
+        }
     }
 }
 

@@ -3,9 +3,13 @@
 //! Everything runs in virtual time. The cell gives the true state of the drives; the operator knows only what the
 //! firmware reports over the link.
 
+#[macro_use]
+#[path = "../again/mod.rs"]
+mod again;
 mod axes;
 mod board;
 mod bursts;
+mod clocks;
 mod commands;
 mod feedback;
 mod feedback_scan;

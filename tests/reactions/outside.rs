@@ -89,7 +89,7 @@ fn assert_refused(robot: &mut Robot, command: Command) {
 }
 
 #[test]
-fn from_outside_the_work_area_the_robot_is_jogged_in_and_nowhere_else() {
+pub(crate) fn from_outside_the_work_area_the_robot_is_jogged_in_and_nowhere_else() {
     for angle_rad in [0.0, 1.1, 2.7, 4.2] {
         let mut robot = beside(angle_rad);
         assert_refused(&mut robot, jog(angle_rad));
@@ -120,7 +120,7 @@ fn from_outside_the_work_area_the_robot_is_jogged_in_and_nowhere_else() {
 }
 
 #[test]
-fn a_move_brings_the_robot_in_from_outside_the_work_area() {
+pub(crate) fn a_move_brings_the_robot_in_from_outside_the_work_area() {
     let mut robot = beside(0.6);
     let position = at(30.0, 2.0);
     robot.command(Command::Move { position }).unwrap();

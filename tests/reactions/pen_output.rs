@@ -58,7 +58,7 @@ fn drawing(speed_mm_s: f64) -> Robot {
 type Stopping = fn(&mut Robot);
 
 #[test]
-fn the_pen_is_off_at_once_at_a_stop_a_drive_fault_and_a_lost_terminal_and_stays_up_when_power_comes_back() {
+pub(crate) fn the_pen_is_off_at_once_at_a_stop_a_drive_fault_and_a_lost_terminal_and_stays_up_when_power_comes_back() {
     let stops: [(&str, Stopping); 4] = [
         ("stop", |robot| robot.command(Command::Stop).unwrap()),
         ("drive fault", |robot| robot.inject(CellFault::Drive(4, 0x2310))),
@@ -174,7 +174,7 @@ fn the_pen_is_up_until_the_machine_is_homed_in_a_search_and_on_the_way_down_to_t
 }
 
 #[test]
-fn a_terminal_that_fails_while_its_pen_draws_is_a_fault_and_a_held_drawing_has_its_pen_up() {
+pub(crate) fn a_terminal_that_fails_while_its_pen_draws_is_a_fault_and_a_held_drawing_has_its_pen_up() {
     let mut robot = drawing(200.0);
     robot.inject(CellFault::Power(TERMINAL, 800));
     assert_described_standstill(&mut robot, |fault| {

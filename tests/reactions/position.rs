@@ -42,7 +42,7 @@ fn sound(config: &Config) -> Vec<InkStroke> {
 }
 
 #[test]
-fn enabling_and_holding_moves_no_joint_and_a_pushed_target_is_not_taken_over() {
+pub(crate) fn enabling_and_holding_moves_no_joint_and_a_pushed_target_is_not_taken_over() {
     let mut robot = Robot::of(&config(250.0), host_tools::cell::CellOptions::default());
     robot.configure(&config(250.0));
     robot.wait_for(Mode::DrivesOff);
@@ -64,7 +64,7 @@ fn enabling_and_holding_moves_no_joint_and_a_pushed_target_is_not_taken_over() {
 }
 
 #[test]
-fn single_lost_targets_leave_no_trace_because_the_drives_extrapolate() {
+pub(crate) fn single_lost_targets_leave_no_trace_because_the_drives_extrapolate() {
     for speed_mm_s in SPEEDS_MM_S {
         let config = config(speed_mm_s);
         let expected = sound(&config);
@@ -83,7 +83,7 @@ fn single_lost_targets_leave_no_trace_because_the_drives_extrapolate() {
 }
 
 #[test]
-fn three_lost_targets_in_a_row_let_the_drives_stand_for_a_moment_and_the_drawing_goes_on() {
+pub(crate) fn three_lost_targets_in_a_row_let_the_drives_stand_for_a_moment_and_the_drawing_goes_on() {
     for speed_mm_s in SPEEDS_MM_S {
         let config = config(speed_mm_s);
         let expected = sound(&config);
@@ -101,7 +101,7 @@ fn three_lost_targets_in_a_row_let_the_drives_stand_for_a_moment_and_the_drawing
 type IsExpected = fn(&Fault) -> bool;
 
 #[test]
-fn whatever_stops_the_robot_in_position_mode_the_next_drawing_comes_out_right() {
+pub(crate) fn whatever_stops_the_robot_in_position_mode_the_next_drawing_comes_out_right() {
     let faults: [(&str, CellFault, IsExpected); 6] = [
         ("frames stalled", CellFault::Stall(300), |fault| {
             matches!(
@@ -183,7 +183,7 @@ fn a_drive_replaced_by_another_of_its_kind_is_homed_and_draws() {
 }
 
 #[test]
-fn a_stop_and_a_hold_end_at_rest_with_the_targets_where_the_motors_are() {
+pub(crate) fn a_stop_and_a_hold_end_at_rest_with_the_targets_where_the_motors_are() {
     for speed_mm_s in SPEEDS_MM_S {
         let config = config(speed_mm_s);
         let mut robot = Robot::idle_with(&config).in_a_drawing();
@@ -243,7 +243,7 @@ fn with_ends_in_a_drawing(speed_mm_s: f64) -> (Config, [f64; AXES]) {
 }
 
 #[test]
-fn drives_that_count_one_turn_draw_across_its_end_as_those_that_count_all_turns() {
+pub(crate) fn drives_that_count_one_turn_draw_across_its_end_as_those_that_count_all_turns() {
     for speed_mm_s in SPEEDS_MM_S {
         let (config, ends) = with_ends_in_a_drawing(speed_mm_s);
         let expected = sound(&config);
@@ -268,7 +268,7 @@ fn drives_that_count_one_turn_draw_across_its_end_as_those_that_count_all_turns(
 }
 
 #[test]
-fn drives_that_hold_at_the_end_of_their_turn_stay_there_whatever_is_missing() {
+pub(crate) fn drives_that_hold_at_the_end_of_their_turn_stay_there_whatever_is_missing() {
     let (config, ends) = with_ends_in_a_drawing(SPEEDS_MM_S[0]);
     let mut robot = Robot::of(&config, one_turn(OneTurn::Told)).enabled().in_a_drawing();
     robot.run_until("an arm is at the end of its turn", |robot| {
@@ -290,7 +290,7 @@ fn drives_that_hold_at_the_end_of_their_turn_stay_there_whatever_is_missing() {
 }
 
 #[test]
-fn a_drive_that_does_not_tell_that_it_counts_one_turn_stops_the_robot_at_its_end() {
+pub(crate) fn a_drive_that_does_not_tell_that_it_counts_one_turn_stops_the_robot_at_its_end() {
     for speed_mm_s in SPEEDS_MM_S {
         let (config, ends) = with_ends_in_a_drawing(speed_mm_s);
         let mut robot = Robot::of(&config, one_turn(OneTurn::Untold)).enabled();

@@ -1,5 +1,6 @@
 //! A robot in virtual time and an operator at its link, one millisecond at a time.
 
+use crate::again::clocks_are_on;
 use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::board::PortState;
 use etherpen::config::Config;
@@ -234,7 +235,9 @@ impl Robot {
     /// Sends a configuration and waits for the answer.
     pub(crate) fn configure(&mut self, config: &Config) {
         let before = self.configured.len();
-        self.session.configure(config.clone());
+        let mut config = config.clone();
+        config.bus.clocks |= clocks_are_on();
+        self.session.configure(config);
         self.run_until("the configuration is answered", |robot| robot.configured.len() > before);
     }
 

@@ -14,7 +14,7 @@ const TORQUE_FEEDBACK_GAIN_PER_S: f64 = 40.0;
 const WITHOUT_POWER_MS: u32 = 3_000;
 
 #[test]
-fn feedback_that_cannot_be_true_is_a_fault_without_a_reference_too() {
+pub(crate) fn feedback_that_cannot_be_true_is_a_fault_without_a_reference_too() {
     for mode in [AxisMode::Velocity, AxisMode::Torque] {
         for (what, fault) in [
             ("reversed", ResolverFault::Reversed),

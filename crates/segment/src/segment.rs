@@ -290,6 +290,15 @@ impl<L: Load> Segment<L> {
         states.collect()
     }
 
+    /// System times of the slaves' distributed clocks at one true moment, ns, in the order of the chain; `None` for a
+    /// slave without a clock. This is the truth: no frame and no delay is between it and the clocks.
+    #[must_use]
+    pub fn system_times_ns(&self) -> Vec<Option<u64>> {
+        let slaves = self.chain.slaves();
+        let now_ns = slaves.iter().map(|slave| slave.now_ns()).max().unwrap_or(0);
+        slaves.iter().map(|slave| slave.system_at_ns(now_ns)).collect()
+    }
+
     /// Present states of the motors, in the order that their drives had in the chain at the start.
     pub fn motors(&self) -> impl Iterator<Item = MotorState> {
         let drives = self.chain.drives().into_iter();

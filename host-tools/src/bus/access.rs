@@ -213,6 +213,19 @@ pub(crate) fn registers(
     Ok(memory)
 }
 
+/// A part of a slave's information memory (SII): up to `length` bytes from this word.
+pub(crate) fn information(access: &mut dyn BusAccess, slave: u8, word: u16, length: u16) -> Result<Piece, AccessError> {
+    let request = ServiceRequest::Information {
+        slave: zero(slave),
+        word,
+        length,
+    };
+    match access.request(request)? {
+        ServiceReply::Piece { piece, .. } => Ok(piece),
+        _ => Err(AccessError::Foreign),
+    }
+}
+
 /// The error counters of a slave.
 pub(crate) fn errors(access: &mut dyn BusAccess, slave: u8) -> Result<SlaveErrors, AccessError> {
     match access.request(ServiceRequest::Errors { slave: zero(slave) })? {

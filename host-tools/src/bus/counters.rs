@@ -1,6 +1,8 @@
 //! Error counters of slave controllers, and the cables that they indicate.
 
 use super::access::{self, BusAccess};
+use super::diagnosis::{self, MessageView};
+use super::slaves;
 use crate::error::ProgramError;
 use etherpen::ethercat::diagnostics::SlaveErrors;
 use etherpen::ethercat::wire::register::PortErrors;
@@ -45,6 +47,9 @@ pub(crate) struct SlaveCounters {
     processor_interface: u8,
     /// Expiries of the process data watchdog.
     watchdog: u8,
+    /// Newest messages of the slave's diagnosis history, newest first.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(crate) messages: Vec<MessageView>,
 }
 
 impl SlaveCounters {
@@ -65,6 +70,7 @@ impl SlaveCounters {
             processing_unit: errors.processing_unit,
             processor_interface: errors.processor_interface,
             watchdog: errors.watchdog,
+            messages: Vec::new(),
         }
     }
 }
@@ -104,6 +110,25 @@ pub(crate) fn read(access: &mut dyn BusAccess) -> Result<ErrorCounters, ProgramE
         ));
     }
     Ok(found)
+}
+
+/// Reads the diagnosis histories of the slaves that answer SDOs in their present state.
+///
+/// # Errors
+/// The bus refused a request or was lost.
+pub(crate) fn read_messages(access: &mut dyn BusAccess, found: &mut ErrorCounters) -> Result<(), ProgramError> {
+    for view in &slaves::read(access, None)?.slaves {
+        let counters = found.slaves.iter_mut().find(|counters| counters.slave == view.slave);
+        let Some(counters) = counters.filter(|_| view.has_objects()) else {
+            continue;
+        };
+        counters.messages = diagnosis::read(access, view.slave)?;
+        let lines = counters.messages.iter().map(MessageView::text);
+        found
+            .findings
+            .extend(lines.map(|text| format!("slave {} tells: {text}", view.slave)));
+    }
+    Ok(())
 }
 
 /// The cable at a port by its ends; empty if nothing is connected.

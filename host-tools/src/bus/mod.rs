@@ -6,8 +6,10 @@
 pub(crate) mod access;
 pub(crate) mod connection;
 pub(crate) mod counters;
+pub(crate) mod diagnosis;
 pub(crate) mod files;
 pub(crate) mod objects;
+pub(crate) mod process_data;
 pub(crate) mod registers;
 pub(crate) mod slaves;
 pub(crate) mod value;

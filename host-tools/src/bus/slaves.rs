@@ -1,6 +1,7 @@
 //! Slaves and their states.
 
 use super::access::{self, AccessError, BusAccess};
+use super::process_data::{self, PdoView};
 use crate::error::{ProgramError, code};
 use crate::link::text;
 use etherpen::ethercat::diagnostics::{ServiceError, SlaveInfo};
@@ -99,6 +100,9 @@ pub(crate) struct SlaveView {
     pub(crate) protocols: Vec<&'static str>,
     pub(crate) output_bytes: u16,
     pub(crate) input_bytes: u16,
+    /// Process data objects of a slave without a driver, where they were asked for.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(crate) pdos: Vec<PdoView>,
     pub(crate) ports: Vec<PortView>,
     pub(crate) clock: Option<ClockView>,
 }
@@ -140,6 +144,7 @@ impl SlaveView {
             protocols: known.map(|(_, name)| *name).collect(),
             output_bytes: info.output_bytes,
             input_bytes: info.input_bytes,
+            pdos: Vec::new(),
             ports: ports.collect(),
             clock: info.clock.map(|clock| ClockView {
                 bits: if clock.is_64_bit { 64 } else { 32 },
@@ -147,6 +152,26 @@ impl SlaveView {
                 difference_ns: clock.difference_ns,
             }),
         }
+    }
+}
+
+impl SlaveView {
+    /// Whether the slave answers SDOs in its present state.
+    pub(crate) fn has_objects(&self) -> bool {
+        let states = [AlState::PreOperational, AlState::SafeOperational, AlState::Operational];
+        let is_in = |state: AlState| self.state.al_status & 0x0F == state as u8;
+        self.protocols.contains(&"CoE") && states.into_iter().any(is_in)
+    }
+
+    /// Reads the process data objects of a slave without a driver.
+    ///
+    /// # Errors
+    /// As [`process_data::read`].
+    pub(crate) fn read_process_data(&mut self, access: &mut dyn BusAccess) -> Result<(), ProgramError> {
+        if self.driver.is_empty() {
+            self.pdos = process_data::read(access, self.slave, self.has_objects())?;
+        }
+        Ok(())
     }
 }
 

@@ -312,6 +312,12 @@ impl Cell {
         self.segment.file(slave, name)
     }
 
+    /// True system times of the slaves' distributed clocks at one moment, ns; `None` for a slave without a clock.
+    #[must_use]
+    pub fn system_times_ns(&self) -> Vec<Option<u64>> {
+        self.segment.system_times_ns()
+    }
+
     /// The motors and the pen at present.
     #[must_use]
     pub fn truth(&self) -> Truth {

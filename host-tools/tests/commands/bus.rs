@@ -99,6 +99,7 @@ fn slave_info(slave: u8) -> SlaveInfo {
             serial: u32::from(slave) + 1,
         },
         name: "AX2000-B110".try_into().expect("short"),
+        driver: "AX2000-B110".try_into().expect("short"),
         member: Some(slave),
         report: AlReport {
             status: if left { 0x14 } else { 8 },

@@ -1,7 +1,7 @@
 //! `etherpen bus` with this computer's master, on segments in separate processes.
 
 use crate::network::Network;
-use crate::program::{Folder, Running, etherpen, run};
+use crate::program::{Folder, Running, etherpen, run, wait_until};
 use crate::segment::Segment;
 use host_tools::error::code;
 use rustix::process::{Pid, Signal, kill_process};
@@ -111,6 +111,130 @@ fn a_slave_is_brought_to_op_and_back_by_one_program_after_the_other() {
             (&name.into(), &false.into())
         );
     }
+    segment.end();
+}
+
+/// Entry of a process data object: index, sub-index, bits and name.
+type ShownEntry = (u64, u64, u64, String);
+/// Process data object: index, direction, source and entries.
+type ShownObject = (u64, String, String, Vec<ShownEntry>);
+
+/// The process data objects that `bus info` shows for a slave.
+fn shown_objects(info: &serde_json::Value) -> Vec<ShownObject> {
+    let text = |value: &serde_json::Value| value.as_str().expect("a text").to_owned();
+    let number = |value: &serde_json::Value| value.as_u64().expect("a number");
+    let pdos = info["slaves"][0]["pdos"].as_array().expect("a list");
+    let shown = pdos.iter().map(|pdo| {
+        let entries = pdo["entries"].as_array().expect("a list").iter().map(|entry| {
+            let [index, sub, bits] = ["index", "sub", "bits"].map(|key| number(&entry[key]));
+            (index, sub, bits, text(&entry["name"]))
+        });
+        let source = text(&pdo["source"]);
+        (
+            number(&pdo["index"]),
+            text(&pdo["direction"]),
+            source,
+            entries.collect(),
+        )
+    });
+    shown.collect()
+}
+
+#[test]
+fn info_shows_the_entries_of_slaves_without_a_driver_by_their_memory_and_in_preop_by_themselves() {
+    let folder = Folder::new();
+    let place = folder.join("segment.sock");
+    let description = folder.file("mixed.xml", include_str!("mixed_terminal.xml"));
+    let list = format!("el2004,esi:{}#IO-1,cia402", description.display());
+    let mut command = etherpen(&folder);
+    command.args(["segment", "--slaves", &list, "--unix"]).arg(&place);
+    let segment = Segment::start(&mut command);
+    let way = ["--unix", &*place.to_string_lossy()];
+
+    let outputs = shown_objects(&json(&folder, &way, &["info", "1"]));
+    let expected: Vec<_> = (0..4)
+        .map(|channel| (0x1600 + channel, 0x7000 + 0x10 * channel))
+        .collect();
+    assert_eq!(outputs.len(), expected.len(), "{outputs:?}");
+    for ((pdo, direction, source, entries), (index, object)) in outputs.iter().zip(expected) {
+        assert_eq!((*pdo, direction.as_str(), source.as_str()), (index, "out", "SII"));
+        let [(entry, 1, 1, _)] = entries[..] else {
+            panic!("{entries:?}");
+        };
+        assert_eq!(entry, object);
+    }
+    for (state, source) in [("init", "SII"), ("preop", "CoE"), ("op", "CoE")] {
+        json(&folder, &way, &["state", "2", state]);
+        let value = (0x7000, 1, 16, String::new());
+        let on = (0x6000, 1, 1, String::new());
+        let gap = (0, 0, 15, String::new());
+        let expected = [
+            (0x1600, "out".to_owned(), source.to_owned(), vec![value]),
+            (0x1A00, "in".to_owned(), source.to_owned(), vec![on, gap]),
+        ];
+        let info = json(&folder, &way, &["info", "2"]);
+        assert_eq!(shown_objects(&info), expected, "{state}");
+        assert_eq!(info["slaves"][0]["al_state"], state.to_uppercase(), "{state}");
+    }
+    let text = bus(&folder, &way, &["info", "2"]);
+    for line in [
+        "  PDO 1a00         in, sync manager 3, 16 bits, by CoE",
+        "    6000:1           1 bits",
+        "    gap             15 bits",
+    ] {
+        assert!(text.contains(line), "{text}");
+    }
+    assert!(
+        json(&folder, &way, &["info", "3"])["slaves"][0]["pdos"].is_null(),
+        "it has a driver"
+    );
+    segment.end();
+}
+
+#[test]
+fn errors_shows_the_newest_messages_of_a_drives_diagnosis_history_first() {
+    let folder = Folder::new();
+    let place = folder.join("segment.sock");
+    let script: String = (1..=10)
+        .map(|fault| format!("ms {} fault 2 {:#06x}\n", 1_000 + 100 * fault, 0x2300 + fault))
+        .collect();
+    let faults = folder.file("faults.txt", script);
+    let mut command = etherpen(&folder);
+    command
+        .args(["segment", "--slaves", "ax2000,cia402", "--unix"])
+        .arg(&place);
+    command.arg("--faults").arg(&faults);
+    let segment = Segment::start(&mut command);
+    let way = ["--unix", &*place.to_string_lossy()];
+    for slave in ["1", "2"] {
+        json(&folder, &way, &["state", slave, "preop"]);
+    }
+    // On a busy computer a program may find no answer in time; another one asks again.
+    let errors = |options: &[&str]| {
+        let (status, stdout, _) = run(etherpen(&folder).args(["bus", "errors"]).args(options).args(way));
+        (status == Some(0)).then_some(stdout)
+    };
+    let mut messages = Vec::new();
+    wait_until("the last fault", || {
+        let Some(found) = errors(&["--json"]) else {
+            return false;
+        };
+        let found: serde_json::Value = serde_json::from_str(&found).expect("JSON");
+        assert!(found[0]["messages"].is_null(), "an AX2000 has no history: {found}");
+        messages = found[1]["messages"].as_array().cloned().unwrap_or_default();
+        messages.first().is_some_and(|newest| newest["error_code"] == 0x230A)
+    });
+    let codes: Vec<_> = messages.iter().map(|message| message["error_code"].as_u64()).collect();
+    let newest: Vec<_> = (0x2303..=0x230A).rev().map(Some).collect();
+    assert_eq!(codes, newest, "a ring of eight");
+    assert!(
+        messages
+            .iter()
+            .all(|message| message["kind"] == "error" && message["text_id"] == 0x0101)
+    );
+    wait_until("the same in words", || {
+        errors(&[]).is_some_and(|text| text.contains("slave 2 tells: error 0x230ae800, error code 0x230a, text 0x0101"))
+    });
     segment.end();
 }
 

@@ -19,7 +19,9 @@ mod files;
 mod followed;
 mod installed;
 mod io;
+mod kickcat;
 mod network;
+mod other_masters;
 mod outputs;
 #[cfg(target_os = "linux")]
 mod outside;

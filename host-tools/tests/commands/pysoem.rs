@@ -1,19 +1,17 @@
-//! pysoem (SOEM), an independent master, on the virtual segment: one cable, two network namespaces.
+//! pysoem (SOEM), an independent master, on the virtual segment.
 //!
-//! `pysoem_master.py` brings the slaves up and prints what it saw; the rules are here. Without root, raw sockets or
-//! PyPI the test says that it was left out. With `ETHERPEN_REQUIRE_PYSOEM` set, as in continuous integration, it fails.
+//! With `ETHERPEN_REQUIRE_PYSOEM` set, as in continuous integration, the test fails where it would be left out.
 
-use crate::network::Network;
-use crate::program::{Folder, Running, etherpen, wait_until};
+use crate::other_masters::OtherMaster;
 use host_tools::setup;
-use nix::sys::socket::{AddressFamily, SockFlag, SockProtocol, SockType, socket};
 use serde_json::{Value, json};
-use std::path::Path;
-use std::process::Command;
-use std::time::Duration;
 
-/// Set to anything: the test fails where it would be left out.
-const REQUIRE: &str = "ETHERPEN_REQUIRE_PYSOEM";
+const MASTER: OtherMaster = OtherMaster {
+    name: "pysoem",
+    require: "ETHERPEN_REQUIRE_PYSOEM",
+    ensure: setup::ensure_pysoem,
+    script: "pysoem_master.py",
+};
 const SLAVES: &str = "ek1100,el1008,el2004,ax2000,cia402,cia402";
 /// Vendor, product, revision and name of each slave in the chain.
 const IDENTITIES: [(u32, u32, u32, &str); 6] = [
@@ -46,75 +44,9 @@ const DEVICE_NAME: &str = "0x1008";
 /// SYNC0, active (register 0x0981).
 const SYNC0_ACTIVE: u8 = 3;
 const SYNC0_NS: u32 = 1_000_000;
-/// Longest run of the master; it gives up by itself when an answer does not come within two minutes.
-const PATIENCE: Duration = Duration::from_secs(30 * 60);
-
-/// Says that the test was not run, past the test harness too; fails if it had to be run.
-fn leave_out(why: &str) {
-    let message = format!("SKIPPED the test with pysoem: {why}");
-    println!("{message}");
-    eprintln!("{message}");
-    let required = std::env::var_os(REQUIRE).is_some_and(|value| !value.is_empty());
-    assert!(!required, "{REQUIRE} is set, but: {message}");
-}
-
-/// Whether this process may use network interfaces directly.
-fn has_raw_sockets() -> Result<(), String> {
-    let family = AddressFamily::Packet;
-    let opened = socket(family, SockType::Raw, SockFlag::SOCK_CLOEXEC, SockProtocol::EthAll);
-    opened
-        .map(drop)
-        .map_err(|cause| format!("no raw sockets here ({cause})"))
-}
-
-/// What pysoem saw of the segment; `None` if it cannot be run here.
-fn run() -> Option<Value> {
-    if let Err(why) = has_raw_sockets() {
-        leave_out(&why);
-        return None;
-    }
-    let python = match setup::ensure_pysoem() {
-        Ok(python) => python,
-        Err(missing) => {
-            leave_out(&missing.to_string());
-            return None;
-        }
-    };
-    let Some(network) = Network::new("the test with pysoem") else {
-        leave_out("it makes network namespaces, which takes root");
-        return None;
-    };
-    let folder = Folder::new();
-    let [at_segment, at_master] = network.interfaces();
-    let mut program = etherpen(&folder);
-    program.args(["segment", "--slaves", SLAVES, "--interface", at_segment]);
-    let mut segment = Running::start(&mut network.command(0, &program));
-    segment.wait_for("segment", |running| {
-        running.stdout().contains("interface:").then_some(())
-    });
-    let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/commands/pysoem_master.py");
-    let mut program = Command::new(python);
-    // `-B` leaves no byte code among the sources.
-    program.arg("-B").arg(script).args([at_master, &CYCLES.to_string()]);
-    let mut master = Running::start(&mut network.command(1, &program));
-    let status = master.end_within(PATIENCE);
-    assert!(
-        status.success(),
-        "pysoem: {status}; {}; segment: {}",
-        master.stderr(),
-        segment.stderr()
-    );
-    // The end of a program may be seen before the last of what it printed.
-    let report = || serde_json::from_str(&master.stdout()).ok();
-    wait_until("pysoem's report", || {
-        report().is_some_and(|value: Value| value.is_object())
-    });
-    report()
-}
-
 #[test]
 fn pysoem_brings_up_terminals_and_drives_and_exchanges_ten_thousand_cycles_without_a_wrong_counter() {
-    let Some(report) = run() else {
+    let Some(report) = MASTER.run(SLAVES, CYCLES) else {
         return;
     };
     let slaves = report["slaves"].as_array().expect("a list");

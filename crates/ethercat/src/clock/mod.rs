@@ -37,6 +37,8 @@ pub const DIFFERENCE_TIMEOUT_MS: u32 = 5_000;
 const START_AHEAD_NS: u64 = 100_000_000;
 /// How often the reference's time is continued, ms.
 const FOLLOW_PERIOD_MS: u32 = 1_000;
+/// Difference from the delay that a slave was told from which on it is told anew, ns: measurements differ by less.
+const DELAY_CHANGE_MIN_NS: u32 = 20;
 /// Nanoseconds in a millisecond.
 const NS_PER_MS: u64 = 1_000_000;
 /// Bytes of the ports' receive times.
@@ -69,9 +71,11 @@ pub struct SlaveClock {
     pub local_ns: u64,
     /// System time minus the slave's own time, ns, wrapping.
     pub offset_ns: u64,
-    /// Delay of a frame from the reference to this slave, ns.
+    /// Delay of a frame from the first slave of the last measurement to this slave, ns.
     pub delay_ns: u32,
-    /// Whether the slave took part in the last measurement.
+    /// Delay that the slave was told: from the slave that distributes its time, ns.
+    pub told_delay_ns: u32,
+    /// Whether the slave took part in the last measurement, and the chain is still as it was then.
     pub measured: bool,
 }
 
@@ -84,6 +88,8 @@ pub struct BusClocks<const SLAVES: usize> {
     pub period_ns: u32,
     /// Phase of the frames at the reference, ns within the period.
     pub phase_ns: u32,
+    /// Place of the slave that distributed its time when the delays were last told.
+    told_by: Option<usize>,
     /// Whether clocks before the reference are being set: it only shows its time meanwhile.
     is_held: bool,
     /// Number of the time, see [`ReferenceClock::time_number`].
@@ -107,6 +113,12 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
         places
             .find(|(place, slave)| slave.width.is_some() && slave.is_set && answers(*place))
             .map(|(place, _)| place)
+    }
+
+    /// Delay of a frame from the slave at `source` to the one at `position`, ns; 0 if the frame passes that one first.
+    fn delay_from_ns(&self, source: Option<usize>, position: usize) -> u32 {
+        let delay_ns = |position| self.slaves.get(position).map_or(0, |slave: &SlaveClock| slave.delay_ns);
+        delay_ns(position).saturating_sub(source.map_or(0, delay_ns))
     }
 
     /// Reference clock for the critical side, which distributes its time. `stations` are the station addresses;
@@ -146,6 +158,13 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
     pub fn was_off(&mut self, position: usize) {
         if let Some(slave) = self.slaves.get_mut(position) {
             slave.is_set = false;
+        }
+    }
+
+    /// Notes that a slave has dropped out of the chain or returned: the cables of the others may have changed.
+    pub fn chain_changed(&mut self) {
+        for slave in &mut self.slaves {
+            slave.measured = false;
         }
     }
 
@@ -323,6 +342,7 @@ pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
     let Some(reference) = clocks.reference() else {
         return Ok(clocks);
     };
+    clocks.told_by = Some(reference);
     measure(port, stations, &mut clocks).await?;
     for (position, station) in stations.iter().enumerate() {
         if !clocks.has_clock(position) {
@@ -364,10 +384,56 @@ pub async fn restore<const SLAVES: usize, const MESSAGE: usize>(
     let offset_ns = source
         .and_then(|source| clocks.offset_ns(position, source))
         .unwrap_or_else(|| continued_ns().wrapping_sub(slave.local_ns));
-    write_offset(port, *station, position, clocks, offset_ns).await
+    write_offset(port, *station, position, clocks, offset_ns).await?;
+    let measured: Vec<bool, SLAVES> = clocks.slaves.iter().map(|slave| slave.measured).collect();
+    tell_delays(port, stations, clocks, |position| measured.get(position) == Some(&true)).await
 }
 
-/// Writes offset and delay of one slave and clears the filters of its control loop.
+/// Tells the clocks their delays from the slave that distributes its time, where they were told others: another slave
+/// distributes its time than before, or a cable has changed. A slave that has begun to distribute its time runs freely from
+/// then on. `answers` returns false for slaves that are lost.
+///
+/// # Errors
+/// As [`AcyclicPort::send_until_counted`]; the delays that were not told are told next time.
+pub async fn tell_delays<const SLAVES: usize, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    stations: &[u16],
+    clocks: &mut BusClocks<SLAVES>,
+    answers: impl Fn(usize) -> bool,
+) -> Result<(), BusError> {
+    // Delays of different measurements have different beginnings.
+    let is_there = |position: usize, slave: &SlaveClock| slave.width.is_some() && slave.is_set && answers(position);
+    let mut there = clocks.slaves.iter().enumerate();
+    if there.any(|(position, slave)| is_there(position, slave) && !slave.measured) {
+        measure(port, stations, clocks).await?;
+    }
+    let source = clocks.distributor(&answers);
+    if let Some(station) = source.and_then(|source| stations.get(source))
+        && source != clocks.told_by
+    {
+        // Its control loop has no reference any more, and would keep its last correction for ever: 10 % if the one before
+        // fell silent.
+        restart_loop(port, *station).await?;
+        clocks.told_by = source;
+    }
+    for (position, station) in stations.iter().enumerate() {
+        let delay_ns = clocks.delay_from_ns(source, position);
+        let Some(slave) = clocks.slaves.get_mut(position) else {
+            break;
+        };
+        let is_told = slave.told_delay_ns.abs_diff(delay_ns) < DELAY_CHANGE_MIN_NS;
+        if is_told || !is_there(position, slave) {
+            continue;
+        }
+        port.write(*station, register::DC_DELAY, &delay_ns.to_le_bytes())
+            .await?;
+        slave.told_delay_ns = delay_ns;
+    }
+    Ok(())
+}
+
+/// Writes offset and delay of one slave and clears the filters of its control loop. The delay is that from the slave
+/// which distributes its time once this one is set.
 async fn write_offset<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
@@ -375,6 +441,11 @@ async fn write_offset<const SLAVES: usize, const MESSAGE: usize>(
     clocks: &mut BusClocks<SLAVES>,
     offset_ns: u64,
 ) -> Result<(), BusError> {
+    let source = clocks.slaves.iter().enumerate().find(|(other, slave)| {
+        let is_set = slave.is_set && slave.measured;
+        slave.width.is_some() && (is_set || *other == position)
+    });
+    let delay_ns = clocks.delay_from_ns(source.map(|(source, _)| source), position);
     let Some(slave) = clocks.slaves.get_mut(position) else {
         return Ok(());
     };
@@ -386,14 +457,18 @@ async fn write_offset<const SLAVES: usize, const MESSAGE: usize>(
     let offset = offset_ns.to_le_bytes();
     port.write(station, register::DC_OFFSET, offset.get(..length).unwrap_or(&offset))
         .await?;
-    port.write(station, register::DC_DELAY, &slave.delay_ns.to_le_bytes())
-        .await?;
-    let start = register::SPEED_START_DEFAULT.to_le_bytes();
-    port.write(station, register::DC_SPEED_START, &start).await?;
+    port.write(station, register::DC_DELAY, &delay_ns.to_le_bytes()).await?;
+    restart_loop(port, station).await?;
     if let Some(slave) = clocks.slaves.get_mut(position) {
-        slave.is_set = true;
+        (slave.is_set, slave.told_delay_ns) = (true, delay_ns);
     }
     Ok(())
+}
+
+/// Clears the filters and the correction of a clock's control loop.
+async fn restart_loop<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, station: u16) -> Result<(), BusError> {
+    let start = register::SPEED_START_DEFAULT.to_le_bytes();
+    port.write(station, register::DC_SPEED_START, &start).await.map(drop)
 }
 
 /// Distributes the reference's time [`SETTLING_FRAMES`] times and takes the mean phase of the frames.
@@ -526,8 +601,11 @@ pub async fn start_sync<const SLAVES: usize, const MESSAGE: usize>(
     answers: impl Fn(usize) -> bool,
 ) -> Result<u64, BusError> {
     let station = stations.get(position).copied().unwrap_or(0);
-    let delay_ns = clocks.slaves.get(position).map_or(0, |slave| slave.delay_ns);
-    let reference = reference_of(stations, clocks, answers).unwrap_or(station);
+    let source = clocks.distributor(answers);
+    let delay_ns = clocks.delay_from_ns(source, position);
+    let reference = source
+        .and_then(|source| stations.get(source).copied())
+        .unwrap_or(station);
     stop_sync(port, station).await?;
     port.write(station, register::DC_SYNC0_CYCLE, &clocks.period_ns.to_le_bytes())
         .await?;

@@ -331,6 +331,52 @@ fn a_slave_that_was_switched_off_takes_the_time_of_the_others_also_as_the_refere
 }
 
 #[test]
+fn delays_are_told_from_the_clock_that_distributes_its_time_which_then_runs_freely() {
+    let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 123_456, 0)]);
+    let mut clocks = chain.set_up();
+    for (lost, delays, source) in [
+        (&[][..], [0, 500, 1_000, 1_500], None),
+        (&[0], [0, 0, 500, 1_000], Some(STATIONS[1])),
+        // The one that is lost too keeps what it was told.
+        (&[0, 1], [0, 0, 0, 500], Some(STATIONS[2])),
+        (&[], [0, 500, 1_000, 1_500], Some(STATIONS[0])),
+    ] {
+        for repeated in [false, true] {
+            chain.log.clear();
+            let answers = |place: usize| !lost.contains(&place);
+            chain
+                .run(async |mut port: AcyclicPort<'static, 64>| {
+                    tell_delays(&mut port, &STATIONS, &mut clocks, answers).await
+                })
+                .expect("the delays");
+            let delay = |slave: &Model| read_u32(&slave.memory, usize::from(register::DC_DELAY));
+            let told: StdVec<u32> = chain.slaves.iter().map(delay).collect();
+            assert_eq!(told, delays, "{lost:?}");
+            let restarts = usize::from(source.is_some() && !repeated);
+            assert_eq!(chain.log.matches("Fpwr:0930").count(), restarts, "{lost:?}");
+            assert!(!repeated || chain.log.is_empty(), "{}", chain.log);
+        }
+    }
+}
+
+#[test]
+fn after_a_change_of_the_chain_its_cables_are_measured_anew_once() {
+    let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 123_456, 0)]);
+    let mut clocks = chain.set_up();
+    clocks.chain_changed();
+    for measurements in [1, 0] {
+        chain.log.clear();
+        chain
+            .run(async |mut port: AcyclicPort<'static, 64>| {
+                tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await
+            })
+            .expect("the delays");
+        assert_eq!(chain.log.matches("Bwr:0900").count(), measurements);
+        assert!(!chain.log.contains("Fpwr"), "no cable has changed: {}", chain.log);
+    }
+}
+
+#[test]
 fn the_first_clock_to_return_continues_the_time_when_all_were_off() {
     let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (None, 0, 0), (None, 0, 0)]);
     let (clocks, before_ns, after_ns) = {

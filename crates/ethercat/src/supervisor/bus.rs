@@ -311,6 +311,14 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         clock::follow(&mut self.port, &stations, &mut self.clocks, answers).await;
     }
 
+    /// Tells the clocks their delays after another slave has begun to distribute its time, see [`clock::tell_delays`]. What
+    /// fails is tried again with the next look at the bus.
+    pub(super) async fn tell_delays(&mut self) {
+        let (stations, there) = (self.stations(), self.answering());
+        let answers = |position: usize| there.get(position).is_some_and(|there| *there);
+        let _ = clock::tell_delays(&mut self.port, &stations, &mut self.clocks, answers).await;
+    }
+
     /// The station addresses of all slaves.
     pub(super) fn stations(&self) -> Vec<u16, SLAVES> {
         self.slaves.iter().map(Slave::station).collect()
@@ -408,11 +416,15 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
                     // The time of the others has gone on without it.
                     self.clocks.was_off(number);
                 }
+                if self.is_lost(number) != report.is_none() {
+                    self.clocks.chain_changed();
+                }
                 changed |= self.judge(number, report).await;
             }
         }
         if changed {
             self.send_plan().await;
+            self.tell_delays().await;
         }
     }
 

@@ -429,6 +429,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         self.bus.inspect(first..last).await;
         self.bus.check_cables().await;
         self.bus.follow_clock().await;
+        self.bus.tell_delays().await;
         self.bus.look_at_processor().await;
         let expected = self.bus.expectation(None);
         let Self { bus, inbox, .. } = self;

@@ -241,6 +241,18 @@ impl DistributedClock {
         put(registers, PULSE_LENGTH, &length.to_le_bytes());
     }
 
+    /// System time at a true time, ns, if nobody steers the clock until then; `None` without a clock.
+    pub(crate) fn system_at_ns(&self, true_ns: u64) -> Option<u64> {
+        let mut then = self.clone();
+        then.advance(true_ns);
+        let system_ns = then.system_ns();
+        match self.width {
+            ClockWidth::None | ClockWidth::DelayOnly => None,
+            ClockWidth::Bits32 => Some(system_ns & u64::from(u32::MAX)),
+            ClockWidth::Bits64 => Some(system_ns),
+        }
+    }
+
     fn system_ns(&self) -> u64 {
         self.local_ns.wrapping_add(self.offset_ns)
     }

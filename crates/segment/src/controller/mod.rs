@@ -371,6 +371,16 @@ impl Controller {
         self.clock.take_pulses()
     }
 
+    /// System time of the clock at a true time of the segment, ns; `None` without a clock.
+    pub(crate) fn system_at_ns(&self, true_ns: u64) -> Option<u64> {
+        self.clock.system_at_ns(true_ns)
+    }
+
+    /// True time up to which the controller has run, ns.
+    pub(crate) fn now_ns(&self) -> u64 {
+        self.now_ns
+    }
+
     /// State of the SYNC unit.
     pub(crate) fn sync_state(&self) -> SyncState {
         self.clock.state()

@@ -8,7 +8,8 @@
 //! lengths. Objects: CiA 402; mapping: CiA 301, and 0x1C12, 0x1C13.
 
 use crate::controller::silicon::Silicon;
-use crate::devices::servo_device::Model;
+use crate::devices::servo_device::{HISTORY, Model};
+use crate::drive::history;
 use crate::drive::homing::is_method;
 use crate::drive::servo::Servo;
 use crate::drive::{
@@ -19,7 +20,9 @@ use crate::eeprom::windows::Windows;
 use crate::mailbox::abort::Abort;
 use crate::mailbox::dictionary::{DataType, ObjectRow, Value, access, record, variable};
 use crate::mailbox::process_data::{Pdo, PdoEntry, ProcessData};
-use DataType::{Integer8, Integer16, Integer32, Unsigned8, Unsigned16, Unsigned32, VisibleString};
+use DataType::{
+    Boolean, Integer8, Integer16, Integer32, OctetString, Unsigned8, Unsigned16, Unsigned32, VisibleString,
+};
 use Value::{Live, Number, Stored, Text};
 use access::{READ, READ_WRITE, RX, TX};
 use etherpen_ethercat::wire::sii::{Identity, MailboxWindow, PROTOCOL_COE, PROTOCOL_FOE};
@@ -71,6 +74,25 @@ const OBJECTS: &[ObjectRow] = &[
         0x100A,
         "Software version",
         &[(0, "Software version", VisibleString, READ, Text("1"))],
+    ),
+    record(
+        HISTORY,
+        "Diagnosis history",
+        &[
+            (1, "Maximum messages", Unsigned8, READ, Number(history::ROOM as i64)),
+            (2, "Newest message", Unsigned8, READ, Live),
+            (3, "Newest acknowledged message", Unsigned8, READ_WRITE, Live),
+            (4, "New messages available", Boolean, READ | TX, Live),
+            (5, "Flags", Unsigned16, READ, Number(0)),
+            (6, "Diagnosis message 1", OctetString, READ, Live),
+            (7, "Diagnosis message 2", OctetString, READ, Live),
+            (8, "Diagnosis message 3", OctetString, READ, Live),
+            (9, "Diagnosis message 4", OctetString, READ, Live),
+            (10, "Diagnosis message 5", OctetString, READ, Live),
+            (11, "Diagnosis message 6", OctetString, READ, Live),
+            (12, "Diagnosis message 7", OctetString, READ, Live),
+            (13, "Diagnosis message 8", OctetString, READ, Live),
+        ],
     ),
     variable(0x603F, "Error code", &[(0, "Error code", Unsigned16, READ | TX, Live)]),
     variable(
@@ -295,6 +317,7 @@ pub(crate) fn get(servo: &Servo, index: u16, sub: u8) -> Option<i64> {
     let shown = servo.shown();
     Some(match index {
         0x1001 => servo.error_register().into(),
+        HISTORY => servo.history.get(sub)?,
         0x603F => drive.error_code().into(),
         0x6040 => demand.control.into(),
         0x6041 => shown.status.into(),
@@ -335,6 +358,8 @@ pub(crate) fn set(servo: &mut Servo, index: u16, sub: u8, value: i64) -> Result<
     let homing = &mut servo.drive.homing;
     let unsigned = u32::try_from(value).map_err(|_| Abort::VALUE);
     match (index, value) {
+        (HISTORY, message) if servo.history.acknowledge(message) => {}
+        (HISTORY, _) => return Err(Abort::VALUE),
         (0x607C, _) => homing.offset = value as i32,
         (0x6098, method) if is_method(method) => homing.method = method as i8,
         (0x6098, _) => return Err(Abort::VALUE),

@@ -18,6 +18,9 @@ use Value::{Live, Number};
 use access::{READ, READ_WRITE, TX};
 use etherpen_ethercat::wire::sii::Identity;
 
+/// Diagnosis history, in the drives that have one.
+pub(crate) const HISTORY: u16 = 0x10F3;
+
 /// Objects of every drive.
 const COMMON_OBJECTS: &[ObjectRow] = &[
     variable(
@@ -115,6 +118,11 @@ impl ServoDevice {
 impl LiveObjects for ServoDevice {
     fn get(&self, index: u16, sub: u8) -> Option<i64> {
         (self.model.get)(&self.servo, index, sub)
+    }
+
+    fn bytes(&self, index: u16, sub: u8) -> Option<Vec<u8>> {
+        let history = &self.servo.history;
+        (index == HISTORY).then(|| history.message(sub).map(<[u8]>::to_vec))?
     }
 
     fn set(&mut self, index: u16, sub: u8, value: i64) -> Result<(), Abort> {

@@ -4,6 +4,7 @@
 //! The motor only moves under the velocity or torque loop (operation enabled), on a ramp (quick stop, fault reaction)
 //! or against the closed brake (all other states).
 
+pub(crate) mod history;
 pub(crate) mod homing;
 pub(crate) mod motor;
 mod options;

@@ -3,6 +3,7 @@
 //! A command takes effect `output_delay` milliseconds after it arrived on the bus, or one later in a random share of the
 //! cycles. A position appears on the bus `input_delay` milliseconds after it was measured.
 
+use crate::drive::history::History;
 use crate::drive::{Demand, Drive, DriveOptions};
 use crate::random::Random;
 use std::collections::VecDeque;
@@ -44,6 +45,8 @@ pub(crate) struct Servo {
     /// The command before the one in effect.
     previous: Demand,
     random: Random,
+    /// Messages about its faults.
+    pub(crate) history: History,
 }
 
 /// Gives late commands random numbers of their own.
@@ -74,6 +77,7 @@ impl Servo {
             late_share: 0.0,
             previous: Demand::default(),
             random: Random::new(0),
+            history: History::default(),
         }
     }
 
@@ -128,6 +132,7 @@ impl Servo {
 
     /// Takes a sample, and shows the one taken `input_delay` milliseconds ago.
     pub(crate) fn sample(&mut self) {
+        self.history.step();
         self.samples.push_back(DriveValues {
             position: self.drive.position(),
             velocity: self.drive.velocity_digits(),
@@ -158,6 +163,9 @@ impl Servo {
     /// The next emergency.
     pub(crate) fn take_emergency(&mut self) -> Option<Emergency> {
         let code = self.drive.take_emergency()?;
+        if code != 0 {
+            self.history.add(code);
+        }
         Some((code, self.error_register(), [0; 5]))
     }
 }

@@ -121,6 +121,8 @@ pub enum MailFault {
 pub enum Manner {
     /// Whether it reads the information memory on the way to PREOP.
     ReadsSii(bool),
+    /// Whether it ignores requests to give its last mailbox message again.
+    IgnoresRepeats(bool),
     /// How long it starts after power-up, ms.
     Boot(u64),
     /// How long a change of state takes, ms.

@@ -72,6 +72,7 @@ Faults of a slave:
   processor K WHAT N  the processor of slave K takes N ms from now on: boot (its start after power-up),
                       transition (a change of state) or mailbox (an answer)
   processor K sii WORD it reads the information memory on the way to PREOP (needed), or does not (free)
+  processor K repeat WORD it gives its last mailbox message again when asked (known), or never (ignored)
   (a slave with device emulation has no processor: only power and sii mean anything to it)
 
 Faults of a drive:
@@ -260,6 +261,7 @@ impl Words<'_> {
             "transition" => Manner::Transition(self.number()?),
             "mailbox" => Manner::Mailbox(self.number()?),
             "sii" => Manner::ReadsSii(self.choice(&[("needed", true), ("free", false)])?),
+            "repeat" => Manner::IgnoresRepeats(self.choice(&[("ignored", true), ("known", false)])?),
             word => return Err(self.error(ScriptProblem::Fault, word)),
         })
     }
@@ -623,6 +625,7 @@ mod tests {
             "ms 1 foe 1 error 0x8003",
             "ms 1 processor 1 boot 500",
             "ms 1 processor 1 sii needed",
+            "ms 1 processor 1 repeat ignored",
             "ms 1 stuck 1 20",
             "ms 1 slip 1 90 20",
             "ms 1 jump 1 -2000",

@@ -8,6 +8,10 @@ pub(crate) trait LiveObjects {
     fn get(&self, _index: u16, _sub: u8) -> Option<i64> {
         None
     }
+    /// The bytes of a live object without a fixed length; `None` if the device has none.
+    fn bytes(&self, _index: u16, _sub: u8) -> Option<Vec<u8>> {
+        None
+    }
     /// Writes a live object through the mailbox.
     ///
     /// # Errors

@@ -28,6 +28,9 @@ impl Objects<'_> {
         Ok(match &entry.content {
             Content::Fixed(value) | Content::Bytes { value, .. } => value.clone(),
             Content::Number { value, .. } => entry.kind.encode(*value),
+            Content::Live if entry.kind.bytes().is_none() => {
+                self.device.bytes(index, sub).ok_or(Abort::NO_SUB_INDEX)?
+            }
             Content::Live => entry
                 .kind
                 .encode(self.device.get(index, sub).ok_or(Abort::NO_SUB_INDEX)?),

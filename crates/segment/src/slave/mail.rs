@@ -65,9 +65,9 @@ impl Slave {
                 .with_sync_manager(MAILBOX_IN_MANAGER, |manager| manager.set_composing(composing));
             return;
         }
-        let mailbox = &mut self.mailbox;
+        let (mailbox, ignores_repeats) = (&mut self.mailbox, self.options.ignores_repeats);
         self.controller.with_sync_manager(MAILBOX_IN_MANAGER, |manager| {
-            if manager.repeat_is_due() {
+            if manager.repeat_is_due() && !ignores_repeats {
                 if let Some(message) = mailbox.last_sent() {
                     manager.put(message);
                 }

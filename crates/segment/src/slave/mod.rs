@@ -196,6 +196,16 @@ impl Slave {
         self.obey_pulses();
     }
 
+    /// True time up to which the slave's controller has run, ns.
+    pub(crate) fn now_ns(&self) -> u64 {
+        self.controller.now_ns()
+    }
+
+    /// System time of the slave's clock at a true time, ns; `None` without a clock.
+    pub(crate) fn system_at_ns(&self, true_ns: u64) -> Option<u64> {
+        self.controller.system_at_ns(true_ns)
+    }
+
     /// Counts a damaged frame; `forwarded` if it was damaged before the cable at this slave.
     pub(crate) fn count_damage(&mut self, forwarded: bool) {
         self.controller.count_damage(forwarded);
@@ -240,6 +250,7 @@ impl Slave {
     pub(crate) fn set_manner(&mut self, manner: Manner) {
         match manner {
             Manner::ReadsSii(reads) => self.options.reads_sii = reads,
+            Manner::IgnoresRepeats(ignores) => self.options.ignores_repeats = ignores,
             Manner::Boot(ms) => self.options.boot_ms = ms,
             Manner::Transition(ms) => self.options.transition_ms = ms,
             Manner::Mailbox(ms) => self.options.mailbox_ms = ms,

@@ -9,6 +9,8 @@ pub struct SlaveOptions {
     /// Whether the processor reads the information memory on the way from INIT to PREOP. It refuses this way with AL
     /// status code 0x0050 unless the master has given it the access (register 0x0500, bit 0).
     pub reads_sii: bool,
+    /// Whether the processor ignores a request to give its last mailbox message again: it never acknowledges one.
+    pub ignores_repeats: bool,
     /// How long the processor starts after power-up, ms. Until then it reads no state request, while the registers
     /// answer.
     pub boot_ms: u64,

@@ -70,7 +70,8 @@ pub(super) fn dump(
 
 /// `bus errors`.
 pub(super) fn errors(access: &mut dyn BusAccess, clear: bool, json: bool) -> Result<(), ProgramError> {
-    let found = counters::read(access)?;
+    let mut found = counters::read(access)?;
+    counters::read_messages(access, &mut found)?;
     if clear {
         access::clear_errors(access)?;
     }

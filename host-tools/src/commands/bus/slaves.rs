@@ -2,6 +2,7 @@
 
 use super::table;
 use crate::bus::access::{self, BusAccess};
+use crate::bus::process_data::PdoView;
 use crate::bus::slaves::{AlStatusView, SlaveState, SlaveView, Watch, read, require_state};
 use crate::commands::print_json;
 use crate::error::ProgramError;
@@ -63,7 +64,10 @@ pub(super) fn scan(access: &mut dyn BusAccess, json: bool) -> Result<(), Program
 
 /// `bus info [N]`.
 pub(super) fn info(access: &mut dyn BusAccess, only: Option<u8>, json: bool) -> Result<(), ProgramError> {
-    let view = read(access, only)?;
+    let mut view = read(access, only)?;
+    for slave in &mut view.slaves {
+        slave.read_process_data(access)?;
+    }
     if json {
         return print_json(&view);
     }
@@ -124,6 +128,7 @@ fn describe(slave: &SlaveView) -> Result<(), ProgramError> {
         "process data",
         format!("{} bytes out, {} in", slave.output_bytes, slave.input_bytes),
     )?;
+    slave.pdos.iter().try_for_each(describe_pdo)?;
     if let Some(clock) = &slave.clock {
         line(
             "clock",
@@ -140,6 +145,25 @@ fn describe(slave: &SlaveView) -> Result<(), ProgramError> {
             None => "unknown".into(),
         };
         line(&format!("port {}", port.port), format!("linked to {partner}"))?;
+    }
+    Ok(())
+}
+
+/// Prints a process data object and its entries.
+fn describe_pdo(pdo: &PdoView) -> Result<(), ProgramError> {
+    let bits: u32 = pdo.entries.iter().map(|entry| u32::from(entry.bits)).sum();
+    let named = |what: String, name: &str| format!("{what} {name}").trim_end().to_owned();
+    let head = format!(
+        "  PDO {:04x}         {}, sync manager {}, {bits} bits, by {}",
+        pdo.index, pdo.direction, pdo.sync_manager, pdo.source
+    );
+    table::say(&named(head, &pdo.name))?;
+    for entry in &pdo.entries {
+        let object = match entry.index {
+            0 => "gap".to_owned(),
+            index => format!("{index:04x}:{}", entry.sub),
+        };
+        table::say(&named(format!("    {object:<14} {:>3} bits", entry.bits), &entry.name))?;
     }
     Ok(())
 }
