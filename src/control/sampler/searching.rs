@@ -14,6 +14,7 @@ impl<G: IoTrigger + IoGroup> Sampler<'_, G> {
             return;
         }
         self.epoch = None;
+        self.path_stop.end();
         self.window.clear();
         let search = Search::new(&self.axes, self.used, &self.now.measured_rad);
         let standing = search.setpoint();
