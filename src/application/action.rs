@@ -15,8 +15,18 @@ pub enum Power {
     On,
     /// Quick stop, then standstill under power.
     QuickStop,
+    /// Braking on the path as fast as the quick stop's deceleration allows, then [`Power::QuickStop`] at rest; at once
+    /// where there is no path to brake on.
+    PathStop,
     /// Reset of a drive fault.
     FaultReset,
+}
+
+impl Power {
+    /// Whether the drives are under power, or stopping.
+    pub const fn is_on(self) -> bool {
+        matches!(self, Self::On | Self::QuickStop | Self::PathStop)
+    }
 }
 
 /// A request from the application to the other tasks.

@@ -55,7 +55,7 @@ pub enum Command {
         /// Target.
         pen: Pen,
     },
-    /// Quick stop of all drives at once, latched as a fault.
+    /// Stop at once, on the path if there is one, as fast as the drives' quick stop; latched as a fault.
     Stop,
     /// Acknowledge a fault: clears it if its cause is gone, and brings lost slaves back.
     Acknowledge,

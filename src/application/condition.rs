@@ -25,7 +25,7 @@ pub struct Condition {
     pub drive_fault: Option<Fault>,
     /// Place in the chain, from 0, of the first axis whose drive sends no valid inputs.
     pub silent: Option<u8>,
-    /// Fault latched by the critical tasks; the drives are already in quick stop.
+    /// Fault latched by the critical tasks; the drives are already stopping.
     pub fault: Option<Fault>,
     /// Input that keeps the drives in quick stop.
     pub interlock: Option<Interlock>,

@@ -273,6 +273,15 @@ impl Fault {
         }
     }
 
+    /// Whether the robot brakes on its path for this fault: it orders a stop, and neither the drives nor their feedback are
+    /// in doubt. Every other fault, and every input that protects people, is the drives' quick stop at once.
+    pub const fn keeps_path(&self) -> bool {
+        matches!(
+            self,
+            Self::EmergencyStop(StopSource::Link) | Self::CyclesLate { .. } | Self::MotionStalled { .. }
+        )
+    }
+
     /// Whether this fault describes the event for which `known` was latched more precisely. The supervisor knows which
     /// slave failed and why; the critical tasks know only that something failed. A slave reported in OP names no cause;
     /// it only waits for its repair.

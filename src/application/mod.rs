@@ -29,7 +29,7 @@ use heapless::Vec;
 
 /// Time for the brakes to close before the power is taken from the drives, ms.
 pub const BRAKE_DELAY_MS: u32 = 100;
-/// Longest wait for a standstill after a quick stop, ms.
+/// Longest wait for a standstill after a stop has begun, ms.
 pub const STANDSTILL_MAX_MS: u32 = 1_000;
 /// Longest wait for the drives to follow a change of their power, ms.
 pub const ENABLE_MAX_MS: u32 = 3_000;
@@ -197,6 +197,9 @@ impl Application {
     /// Takes a report of the bus's supervisor.
     pub fn bus(&mut self, condition: BusCondition) {
         let was_whole = self.bus == Some(BusCondition::Operational);
+        if condition != BusCondition::Operational {
+            self.stop_at_once();
+        }
         match (condition, self.bus) {
             // The first slave that fails is the cause; failures of slaves behind it follow from it.
             (BusCondition::Failed(_), Some(BusCondition::Failed(_) | BusCondition::Refused(_))) => {}
@@ -374,7 +377,7 @@ impl Application {
             Mode::Idle | Mode::Unreferenced | Mode::Homing => {
                 self.mode = Mode::Stopping;
                 self.enabling = Enabling::No;
-                self.begin_stop();
+                self.begin_stop(Power::QuickStop);
                 Ok(())
             }
             Mode::DrivesOff if self.enabling == Enabling::No => Ok(()),
@@ -467,11 +470,15 @@ impl Application {
         self.cancelling = false;
         self.recovering_since_ms = None;
         // Drives that send nothing are not proof of power off: the last power request counts too.
-        let may_have_power = matches!(self.power, Power::On | Power::QuickStop) || !self.condition.unpowered;
+        let may_have_power = self.power.is_on() || !self.condition.unpowered;
         if may_have_power {
             self.mode = Mode::Stopping;
+            let keeps_path = fault.keeps_path() && self.fault.is_none_or(|first| first.keeps_path());
+            let how = if keeps_path { Power::PathStop } else { Power::QuickStop };
             if self.stop.is_none() {
-                self.begin_stop();
+                self.begin_stop(how);
+            } else if how == Power::QuickStop {
+                self.stop_at_once();
             }
         } else {
             self.act(Action::Power(Power::Off));
@@ -480,9 +487,16 @@ impl Application {
         }
     }
 
-    fn begin_stop(&mut self) {
-        self.act(Action::Power(Power::QuickStop));
+    fn begin_stop(&mut self, how: Power) {
+        self.act(Action::Power(how));
         self.stop = Some(Stop::Ramp { since_ms: self.now_ms });
+    }
+
+    /// Ends braking on the path by the drives' quick stop.
+    fn stop_at_once(&mut self) {
+        if self.power == Power::PathStop {
+            self.act(Action::Power(Power::QuickStop));
+        }
     }
 
     fn waited_ms(&self, since_ms: u32) -> u32 {
@@ -494,6 +508,11 @@ const _: () = assert!(BRAKE_DELAY_MS < STANDSTILL_MAX_MS);
 // In any valid configuration the quick stop ends, and the standstill is detected, before the brakes close.
 const _: () = assert!(
     crate::config::QUICK_STOP_MAX_MS + crate::control::sampler::STANDSTILL_MS as u32 + QUICK_STOP_DELAY_MS
+        <= STANDSTILL_MAX_MS
+);
+
+const _: () = assert!(
+    crate::control::path_stop::PATH_STOP_MAX_MS + crate::control::sampler::STANDSTILL_MS as u32 + QUICK_STOP_DELAY_MS
         <= STANDSTILL_MAX_MS
 );
 

@@ -49,7 +49,7 @@ impl Plant {
                 Power::On if settled && self.condition.drive_fault.is_none() => {
                     (self.condition.powered, self.condition.unpowered) = (true, false);
                 }
-                Power::QuickStop => {
+                Power::QuickStop | Power::PathStop => {
                     self.condition.powered = false;
                     self.condition.standstill = self.now_ms - self.power_since_ms >= 30;
                 }
@@ -264,7 +264,7 @@ fn leaving_power_is_ramp_standstill_brake_delay_off() {
 fn a_stop_is_a_latched_fault_that_is_acknowledged_and_recovered() {
     let mut plant = Plant::drawing();
     plant.order(Command::Stop).unwrap();
-    assert_eq!((plant.mode(), plant.power), (Mode::Stopping, Power::QuickStop));
+    assert_eq!((plant.mode(), plant.power), (Mode::Stopping, Power::PathStop));
     plant.run(500);
     assert_eq!((plant.mode(), plant.power), (Mode::Fault, Power::Off));
     assert_eq!(plant.application.fault(), Some(Fault::EmergencyStop(StopSource::Link)));
@@ -439,6 +439,36 @@ fn the_first_fault_is_kept_when_others_follow() {
 }
 
 #[test]
+fn a_stop_keeps_the_path_until_the_bus_fails_and_every_fault_that_doubts_the_drives_is_a_quick_stop() {
+    let drive = Fault::Drive {
+        axis: 2,
+        status_word: 0x0008,
+    };
+    let late = Fault::CyclesLate { late: 11, limit: 10 };
+    for (fault, expected) in [
+        (drive, Power::QuickStop),
+        (Fault::EmergencyStop(StopSource::Input), Power::QuickStop),
+        (Fault::SetpointUnderrun, Power::QuickStop),
+        (late, Power::PathStop),
+    ] {
+        let mut plant = Plant::drawing();
+        plant.condition.fault = Some(fault);
+        plant.run(1);
+        assert_eq!((plant.mode(), plant.power), (Mode::Stopping, expected), "{fault:?}");
+    }
+    let mut plant = Plant::drawing();
+    plant.order(Command::Stop).unwrap();
+    plant.order(Command::Stop).unwrap();
+    assert_eq!(plant.power, Power::PathStop);
+    let lost = Fault::SlaveLost { slave: 1 };
+    plant.application.bus(BusCondition::Failed(lost));
+    for action in plant.application.take_actions() {
+        plant.take(action);
+    }
+    assert_eq!((plant.mode(), plant.power), (Mode::Stopping, Power::QuickStop));
+}
+
+#[test]
 fn moves_and_jogs_return_to_idle_when_the_trajectory_rests() {
     let mut plant = Plant::idle();
     plant.order(Command::Pen { pen: Pen::Up }).unwrap();
@@ -499,7 +529,7 @@ fn a_motion_without_progress_is_a_fault_with_its_place_and_is_acknowledged() {
         waited_ms: 2_004,
     };
     assert_eq!(plant.application.fault(), Some(fault));
-    assert!(plant.actions.contains(&Action::Power(Power::QuickStop)));
+    assert!(plant.actions.contains(&Action::Power(Power::PathStop)));
     plant.progress = Progress {
         idle: true,
         ..Progress::default()

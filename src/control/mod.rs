@@ -4,6 +4,7 @@ mod cycle;
 pub mod feedback;
 pub mod io;
 mod limit;
+pub mod path_stop;
 pub mod pen_switch;
 pub mod position;
 pub mod robot_axes;

@@ -133,6 +133,12 @@ impl PositionController {
         self.setpoint_at_age_rad
     }
 
+    /// Velocity of the setpoint to which the latest measurement is compared, rad/s: the difference over the millisecond
+    /// that ends there.
+    pub(super) fn velocity_at_age(&self) -> f64 {
+        (self.setpoint_at_age_rad - self.setpoint_back(1)) * CYCLES_PER_S
+    }
+
     /// The setpoint this many whole milliseconds before the latest measurement, rad.
     fn setpoint_back(&self, before_ms: usize) -> f64 {
         let back = self.newest.wrapping_sub(self.age.whole + before_ms);

@@ -10,10 +10,12 @@
 //!
 //! Invariants: every released millisecond sends the outputs exactly once when the bus is configured; a drive gets a
 //! velocity other than zero, or another target position, only while it follows setpoints of the selected epoch; the first
-//! fault makes every following output a quick stop until the fault is cleared.
+//! fault makes every following output a quick stop until the fault is cleared, at once or, if it only orders a stop, when
+//! the robot has braked on its path.
 
 mod absent;
 mod searching;
+mod stopping;
 
 use crate::application::{Fault, Power};
 use crate::board::Interlock;
@@ -22,6 +24,7 @@ pub use crate::control::cycle::{CycleReport, Queued, SamplerCommand, SamplerCoun
 use crate::control::feedback::COMPARISONS;
 use crate::control::io::Io;
 use crate::control::limit::limited;
+use crate::control::path_stop::PathStop;
 use crate::control::pen_switch::PenSwitch;
 use crate::control::position::PositionController;
 use crate::control::robot_axes::{AxisCommand, Demand, PositionDemand, RobotAxes};
@@ -89,6 +92,8 @@ pub struct Sampler<'a, G = RobotGroup<'a>> {
     window: Window,
     /// The search for the switches that is under way.
     search: Option<Search>,
+    /// The stop on the path that is under way.
+    path_stop: PathStop,
     /// Report of this millisecond, filled step by step; measured values are kept from one millisecond to the next.
     now: CycleReport,
     was_enabled: [bool; AXES],
@@ -146,6 +151,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             epoch: None,
             window: Window::new(),
             search: None,
+            path_stop: PathStop::new(),
             now: CycleReport::default(),
             was_enabled: [false; AXES],
             home_lost: [false; AXES],
@@ -247,7 +253,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
     /// may follow.
     pub fn send_final_telegram<D: Driver>(&mut self, transport: &mut FramePort<D>) {
         let target = match self.power {
-            Power::On | Power::QuickStop => DriveTarget::QuickStop,
+            Power::On | Power::QuickStop | Power::PathStop => DriveTarget::QuickStop,
             Power::Off | Power::FaultReset => DriveTarget::Off,
         };
         let demand = Demand::Velocity(0.0);
@@ -305,9 +311,10 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         self.report(following);
     }
 
-    /// Whether the pen's height is known: a pen that an output lowers stays up otherwise.
+    /// Whether an output may lower the pen: its height is known, and no stop has begun.
     fn may_lower_pen(&self) -> bool {
-        self.power == Power::On && self.search.is_none() && self.now.homed == [true; AXES]
+        let is_known = self.search.is_none() && self.now.homed == [true; AXES];
+        self.power == Power::On && is_known && !self.path_stop.is_active()
     }
 
     /// Takes new addresses from the IP stack. Without addresses nothing is sent; the supervisor and the supervision see
@@ -373,8 +380,10 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
                     (self.axes, self.bus) = (axes, bus);
                     self.same_zero = [false; AXES];
                 }
+                SamplerCommand::Power(Power::PathStop) => self.stop_on_path(),
                 SamplerCommand::Power(power) => {
                     self.power = power;
+                    self.path_stop.end();
                     if power != Power::On {
                         self.epoch = None;
                         self.end_search();
@@ -382,6 +391,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
                 }
                 SamplerCommand::Home { near } => {
                     self.epoch = None;
+                    self.path_stop.end();
                     // A refusal leaves the axes unhomed, which the operating modes see and report.
                     let _ = self.robot.home(near.as_ref());
                     self.same_zero = [false; AXES];
@@ -394,6 +404,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
                 }
                 SamplerCommand::Follow { epoch } => {
                     self.epoch = Some(epoch);
+                    self.path_stop.end();
                     self.window.clear();
                 }
                 SamplerCommand::ConfigureIo(points, pen) => {
@@ -463,6 +474,9 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
     fn next_setpoint(&mut self) -> (bool, bool) {
         if self.search.is_some() {
             return self.search_setpoint();
+        }
+        if self.path_stop.is_active() {
+            return self.stop_setpoint();
         }
         let Some(epoch) = self.epoch else {
             self.window.clear();
@@ -585,7 +599,10 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         if self.now.homed != [true; AXES] {
             self.check_feedback();
         }
-        self.supervision.step(&self.axes, &self.bus, &seen);
+        let fault = self.supervision.step(&self.axes, &self.bus, &seen);
+        if fault.is_some() || self.path_stop.is_active() {
+            self.watch_stop();
+        }
     }
 
     /// Latches the fault of an implausible feedback, if that is why an axis is not homed.
@@ -613,11 +630,12 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
 
     #[inline(never)]
     fn write(&mut self, following: bool, output_rad_s: &[f64; AXES]) {
-        let target = match (self.supervision.fault(), self.power) {
-            (_, Power::Off) => DriveTarget::Off,
-            (_, Power::FaultReset) => DriveTarget::FaultReset,
-            (Some(_), _) | (None, Power::QuickStop) => DriveTarget::QuickStop,
-            (None, Power::On) => DriveTarget::Enabled,
+        let stops_at_once = self.supervision.fault().is_some() && !self.path_stop.is_active();
+        let target = match (self.power, stops_at_once) {
+            (Power::Off, _) => DriveTarget::Off,
+            (Power::FaultReset, _) => DriveTarget::FaultReset,
+            (Power::On, false) => DriveTarget::Enabled,
+            (Power::On, true) | (Power::QuickStop | Power::PathStop, _) => DriveTarget::QuickStop,
         };
         let moving = following && target == DriveTarget::Enabled && self.robot.is_in_operation();
         if self.has_torque_axis {

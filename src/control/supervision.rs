@@ -1,4 +1,4 @@
-//! Supervision of the axes: the faults that the critical tasks detect and answer with a quick stop.
+//! Supervision of the axes: the faults that the critical tasks detect and answer with a stop.
 //!
 //! One [`Supervision`] is stepped every millisecond in the critical task, with bounded work and without a lock. It
 //! latches the first cause until a slower task clears it; later causes do not replace the first.
@@ -58,10 +58,12 @@ pub const AL_UNEXPLAINED_MAX_MS: u8 = 60;
 /// AL state OP without the error flag.
 const AL_OPERATIONAL: u8 = 8;
 
-/// Latches the first cause of a quick stop.
+/// Latches the first cause of a stop.
 #[derive(Debug)]
 pub struct Supervision {
     fault: Option<Fault>,
+    /// Whether a cause has come, the latched one or a later one, that forbids braking on the path.
+    stops_at_once: bool,
     blind_ms: [u16; AXES],
     /// How long each axis's drive has confirmed no outputs.
     unconfirmed_ms: [u16; AXES],
@@ -82,6 +84,7 @@ impl Supervision {
     pub const fn new() -> Self {
         Self {
             fault: None,
+            stops_at_once: false,
             blind_ms: [0; AXES],
             unconfirmed_ms: [0; AXES],
             clamped: [0; AXES],
@@ -96,6 +99,11 @@ impl Supervision {
         self.fault
     }
 
+    /// Whether a cause has come that forbids braking on the path ([`Fault::keeps_path`]), be it the latched one or not.
+    pub fn stops_at_once(&self) -> bool {
+        self.stops_at_once
+    }
+
     /// Clears the latched cause.
     pub fn clear(&mut self) {
         *self = Self::new();
@@ -105,6 +113,7 @@ impl Supervision {
     #[cold]
     pub fn latch(&mut self, fault: Fault) {
         self.fault.get_or_insert(fault);
+        self.stops_at_once |= !fault.keeps_path();
     }
 
     /// Advances by one millisecond; returns the latched cause, if there is one.

@@ -45,6 +45,11 @@ impl VelocityController {
         }
     }
 
+    /// Place among the velocity setpoints from this millisecond on at which the torque feed-forward is read.
+    pub(super) fn lead(&self) -> Place {
+        self.lead
+    }
+
     /// Resets the error and the integral. Used while the drive takes no torque.
     pub fn reset(&mut self) {
         self.error_rad_s = 0.0;

@@ -42,6 +42,21 @@ impl Window {
         self.length == 0
     }
 
+    /// Number of setpoints.
+    pub(super) fn length(&self) -> usize {
+        self.length
+    }
+
+    /// The setpoint so many milliseconds from this one on; `None` after the end.
+    pub(super) fn get(&self, ahead: usize) -> Option<&Setpoint> {
+        (ahead < self.length).then(|| &self.setpoints[(self.first + ahead) % SLOTS])
+    }
+
+    /// Discards the setpoints behind the first `length`.
+    pub(super) fn truncate(&mut self, length: usize) {
+        self.length = self.length.min(length);
+    }
+
     /// Removes the first setpoint.
     #[inline]
     pub(super) fn advance(&mut self) {

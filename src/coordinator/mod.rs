@@ -310,8 +310,11 @@ impl<'a> Coordinator<'a> {
         match action {
             Action::Power(power) => {
                 self.tell_sampler(SamplerCommand::Power(power));
-                if matches!(power, Power::QuickStop | Power::Off) {
+                if power != Power::On && power != Power::FaultReset {
                     self.abandoned = true;
+                }
+                // A stop on the path needs the setpoints of the path until it ends.
+                if matches!(power, Power::QuickStop | Power::Off) {
                     self.tell_trajectory(MotionOrder::Abandon);
                 }
             }

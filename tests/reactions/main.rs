@@ -21,6 +21,7 @@ mod liveness;
 mod matrix;
 mod outputs;
 mod outside;
+mod path_stop;
 mod pen_output;
 mod position;
 mod robot;

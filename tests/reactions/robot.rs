@@ -312,6 +312,11 @@ impl Robot {
         self.surround(|around| around.board.port = state);
     }
 
+    /// Its configuration.
+    pub(crate) fn config(&self) -> &Config {
+        &self.config
+    }
+
     /// Present state of the cell.
     pub(crate) fn cell(&self) -> CellState {
         self.cell.lock().unwrap().state()

@@ -176,7 +176,7 @@ pub enum Control {
     Cancel,
     /// Scale the path speed, percent from 10 to 200.
     Override(u8),
-    /// Quick stop, latched as a fault.
+    /// Stop at once, on the path if there is one; latched as a fault.
     Stop,
 }
 

@@ -83,7 +83,7 @@ pub enum Order {
     Resume,
     /// End the task, or the abandoned drawing of another connection.
     Cancel,
-    /// Quick stop, latched as a fault.
+    /// Stop at once, on the path if there is one; latched as a fault.
     Stop,
     /// Scale the path speed, percent from 10 to 200.
     Override(u8),

@@ -191,9 +191,9 @@ The picture and the tables show those that change the mode. A refused command ch
     text += "
 ## Faults and stops
 
-If a drive has power, or does not report that it has none, the mode becomes `Stopping`: quick stop, standstill, brakes, power
-off, then `Fault`. Otherwise it becomes `Fault` at once. The first fault stays latched until `Acknowledge` has succeeded or a
-configuration was accepted.
+If a drive has power, or does not report that it has none, the mode becomes `Stopping`: quick stop, or a stop on the path that ends
+in one ([stops.md](stops.md)), standstill, brakes, power off, then `Fault`. Otherwise it becomes `Fault` at once. The first fault
+stays latched until `Acknowledge` has succeeded or a configuration was accepted.
 
 | event | `Stopping` from | `Fault` at once from |
 |---|---|---|
@@ -218,7 +218,7 @@ configuration was accepted.
 
 | wait | at most |
 |---|---|
-| standstill after a quick stop | {} ms |
+| standstill after a stop has begun | {} ms |
 | brakes closing before the power is taken | {} ms |
 | drives following a change of their power; angles after `Home` | {} ms |
 | bus and drives after `Acknowledge` (a drive's reset needs {RESET_MS} ms) | {} ms |

@@ -440,11 +440,24 @@ impl State {
             told()
         );
         // Power is taken only behind the brakes, and the brakes close only at standstill or when its time is over.
-        let had_power = matches!(old.power, Power::On | Power::QuickStop);
+        let had_power = old.power.is_on();
         let is_behind_brakes = matches!(old.stop, Some(Stop::Brake { .. }));
         assert!(
             !self.actions.contains(&Action::Power(Power::Off)) || !had_power || is_behind_brakes,
             "power taken from a robot without brakes: {}",
+            told()
+        );
+        // The path is kept only for what orders a stop and doubts nothing, and never once the bus has failed.
+        let begins_on_path = self.actions.contains(&Action::Power(Power::PathStop));
+        assert!(
+            !begins_on_path || application.fault.is_some_and(|fault| fault.keeps_path()),
+            "the path is kept in doubt: {}",
+            told()
+        );
+        let has_failed = matches!(step, Move::Bus(BusCondition::Failed(_) | BusCondition::Refused(_)));
+        assert!(
+            !has_failed || application.power != Power::PathStop,
+            "the path is kept without a bus: {}",
             told()
         );
         let is_over = matches!(old.stop, Some(Stop::Ramp { since_ms })

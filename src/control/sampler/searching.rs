@@ -17,6 +17,7 @@ impl<G: IoTrigger + IoGroup> Sampler<'_, G> {
             return;
         }
         self.epoch = None;
+        self.path_stop.end();
         self.window.clear();
         self.robot.forget_home();
         let homed = core::array::from_fn(|axis| axis >= self.used);

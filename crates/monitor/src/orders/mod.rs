@@ -196,9 +196,9 @@ impl Orders {
         match report {
             Report::Mode(mode) => self.hear_mode(now_ms, *mode),
             Report::Fault(Some(_)) if self.fault_reported => {}
-            Report::Fault(Some(_)) => {
+            Report::Fault(Some(words)) => {
                 self.fault_reported = true;
-                self.begin_stop(StopCause::Fault, motion, bounds, disturbances);
+                self.begin_stop(StopCause::of_fault(words), motion, bounds, disturbances);
             }
             Report::Fault(None) => {
                 if std::mem::take(&mut self.fault_reported) {
@@ -331,7 +331,9 @@ impl Orders {
             self.acknowledged = false;
         }
         self.needs_acknowledgement = true;
-        if self.stop.is_none() {
+        // What is the quick stop at once ends a stop that keeps the path.
+        let is_stricter = |stop: Stop| stop.cause.keeps_path() && !cause.keeps_path();
+        if self.stop.is_none_or(is_stricter) {
             self.stop = Some(Stop::new(cause, motion, bounds, disturbances.may_race()));
         }
     }

@@ -4,6 +4,10 @@
 //! after their watchdog if the telegrams do not reach them. Until then a joint may gain speed by its acceleration; from
 //! then on its speed falls by the quick stop's deceleration, or by the brake's if that is weaker, with 5 % and 0.1
 //! rad/s of margin. At rest it may creep above 1e-3 rad/s for 20 ms. A drive that cannot obey is not judged.
+//!
+//! After a stop command, and after a fault that only orders a stop, the robot may brake on its path. Then the joints come
+//! to rest together, a joint may gain speed where the path bends, and the bound is one for all joints: the time that the
+//! quick stop of the slowest to stop would take falls by 0.6 of the time that passes, from 8 ms later on.
 
 use crate::bounds::STILL_RAD_S;
 use crate::cell::AXES_MAX;
@@ -86,6 +90,21 @@ mod tests {
             &stopped(|rig| rig.input(Input::StopInput(true)), 200, 100.0),
             Rule::Stop
         ));
+    }
+
+    #[test]
+    fn a_stop_on_the_path_may_brake_with_part_of_the_deceleration_and_an_input_ends_it() {
+        let late = Report::Fault(Some("CyclesLate { late: 11, limit: 10 }".into()));
+        assert_eq!(stopped(|rig| rig.command(Command::Stop), 16, 14.0), Ok(()));
+        assert_eq!(stopped(|rig| rig.report(late.clone()), 16, 14.0), Ok(()));
+        assert!(broken(&stopped(|rig| rig.command(Command::Stop), 16, 8.0), Rule::Stop));
+        let lost = Report::Fault(Some("SlaveLost { slave: 1 }".into()));
+        assert!(broken(&stopped(|rig| rig.report(lost.clone()), 9, 14.0), Rule::Stop));
+        let both = |rig: &mut Rig| {
+            rig.command(Command::Stop);
+            rig.input(Input::StopInput(true));
+        };
+        assert!(broken(&stopped(both, 9, 14.0), Rule::Stop));
     }
 
     #[test]

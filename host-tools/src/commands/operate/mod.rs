@@ -27,7 +27,7 @@ use serde::Serialize;
 /// A machine from any terminal.
 #[derive(clap::Subcommand, Debug)]
 pub enum Command {
-    /// Quick stop all drives at once and latch a fault (exit code 0: the robot is at a standstill).
+    /// Stop the robot at once, on its path if it moves, and latch a fault (exit code 0: the robot is at a standstill).
     Stop {
         /// Stop every robot that a running program owns, and the one at --port.
         #[arg(long)]

@@ -1,0 +1,98 @@
+//! The sampler while it brakes on the path: the setpoints of [`PathStop`](crate::control::path_stop) take the place of the
+//! ring's.
+//!
+//! Invariant: when a stop on the path ends, for whatever reason, the drives' quick stop begins in the same millisecond.
+
+use super::Sampler;
+use crate::application::Power;
+use crate::config::AxisMode;
+use crate::control::path_stop::Progress;
+use crate::control::position::PositionController;
+use crate::drives::io::{IoGroup, IoTrigger};
+use crate::robots::AXES;
+
+impl<G: IoTrigger + IoGroup> Sampler<'_, G> {
+    /// Begins a stop on the path; without a path, with drives or feedback in doubt, or if the quick stop itself takes too
+    /// long, the drives' quick stop.
+    #[cold]
+    pub(super) fn stop_on_path(&mut self) {
+        if self.path_stop.is_active() {
+            return;
+        }
+        let may_keep = self.power == Power::On
+            && self.epoch.is_some()
+            && self.search.is_none()
+            && !self.supervision.stops_at_once()
+            && self.robot.is_in_operation();
+        let kept = self.setpoints_sent();
+        let axes = self.axes.get(..self.used).unwrap_or_default();
+        if !may_keep || !self.path_stop.begin(&mut self.window, kept, axes) {
+            self.stop_at_once();
+        }
+    }
+
+    /// Number of setpoints, from that of the last command on, that the last command has used: its feed-forward lies between
+    /// the last two of them.
+    fn setpoints_sent(&self) -> usize {
+        let leads = (0..self.used).map(|axis| {
+            let controller = &self.controllers[axis];
+            match self.axes[axis].mode {
+                AxisMode::Velocity => controller.lead().whole,
+                AxisMode::Position => controller.lead().whole.max(controller.position_lead().whole),
+                AxisMode::Torque => self.velocity_controllers[axis].lead().whole,
+            }
+        });
+        2 + leads.max().unwrap_or(0)
+    }
+
+    /// Orders the drives' quick stop.
+    #[cold]
+    pub(super) fn stop_at_once(&mut self) {
+        self.power = Power::QuickStop;
+        self.epoch = None;
+        self.path_stop.end();
+        self.end_search();
+    }
+
+    /// This millisecond's setpoint of a stop on the path. Returns what [`Self::next_setpoint`] does.
+    #[cold]
+    pub(super) fn stop_setpoint(&mut self) -> (bool, bool) {
+        let axes = self.axes.get(..self.used).unwrap_or_default();
+        let next = self
+            .epoch
+            .and_then(|epoch| self.path_stop.step(&mut self.setpoints, epoch, axes));
+        let Some(next) = next else {
+            self.stop_at_once();
+            self.window.clear();
+            return (false, true);
+        };
+        self.window.advance();
+        self.window.push(&next);
+        if let Some(setpoint) = self.window.first() {
+            self.now.setpoint = *setpoint;
+        }
+        (true, false)
+    }
+
+    /// Watches a stop on the path, or begins one for a fault that has just been latched.
+    #[cold]
+    pub(super) fn watch_stop(&mut self) {
+        let stops_at_once = self.supervision.stops_at_once();
+        if !self.path_stop.is_active() {
+            if self.power == Power::On && !stops_at_once {
+                self.stop_on_path();
+            }
+            return;
+        }
+        if stops_at_once || !self.robot.is_in_operation() {
+            return self.stop_at_once();
+        }
+        let planned_rad_s = self.controllers.each_ref().map(PositionController::velocity_at_age);
+        let used = self.used.min(AXES);
+        let (measured, planned) = (&self.now.measured_rad_s[..used], &planned_rad_s[..used]);
+        match self.path_stop.watch(measured, planned, self.still_ms) {
+            Progress::Brakes => {}
+            Progress::Stands | Progress::Left => self.stop_at_once(),
+        }
+    }
+}
