@@ -19,6 +19,8 @@ mod files;
 mod followed;
 mod installed;
 mod io;
+#[cfg(target_os = "linux")]
+mod machines;
 mod network;
 mod outputs;
 #[cfg(target_os = "linux")]
