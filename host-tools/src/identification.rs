@@ -49,6 +49,10 @@ const STROKES_UP: usize = 4;
 const SPEED_MAX_MM_S: f64 = 400.0;
 const ACCELERATION_MAX_MM_S2: f64 = 8_000.0;
 
+/// Farthest turn of the fourth axis along the test motion, rad: that of the circles, of the way to them and of half a turn
+/// where the axis starts from.
+const TURNED_MAX_RAD: f64 = TAU * (TURNS as f64 + 1.5);
+
 /// Half the width of the low-pass, ms.
 const FILTER_HALF_MS: usize = 10;
 /// Terms of the regression: command, three derivatives, constant.
@@ -125,12 +129,16 @@ const FEEDBACK_DEVIATION_RAD: f64 = 0.03;
 /// error whose delay is not known yet.
 const LOOP_GAIN_PER_S: f64 = 2.0;
 
-/// The configuration for the test motion: the given one with a limited speed, with the fourth axis along the path, and
-/// with a tolerance in the feedback supervision for the delay that is not known yet.
+/// The configuration for the test motion: the given one with a limited speed, with the fourth axis along the path if its
+/// range allows that, and with a tolerance in the feedback supervision for the delay that is not known yet.
 pub fn test_config(config: &Config) -> Config {
     let mut test = config.clone();
+    let [low_rad, high_rad] = config.geometry.turn_range_rad();
     let motion = &mut test.motion;
-    motion.orientation = Orientation::Path;
+    motion.orientation = match high_rad.min(-low_rad) > TURNED_MAX_RAD {
+        true => Orientation::Path,
+        false => Orientation::Constant,
+    };
     motion.speed_mm_s = motion.speed_mm_s.min(SPEED_MAX_MM_S);
     motion.travel_speed_mm_s = motion.travel_speed_mm_s.min(SPEED_MAX_MM_S);
     motion.acceleration_mm_s2 = motion.acceleration_mm_s2.min(ACCELERATION_MAX_MM_S2);
@@ -200,25 +208,28 @@ pub fn identify_with_weak(config: &Config, samples: &[Sample], weak: &[Sample]) 
 /// change together, to their mean and to their smallest value.
 pub fn apply(config: &mut Config, answers: &[Result<Answer, NoAnswer>; AXES], only: Option<usize>) {
     let wanted = |axis: usize| only.is_none_or(|only| only == axis);
+    // Axes without a drive answer nothing, and need nothing.
+    let drives = usize::from(config.bus.drives);
+    let main_axes = MAIN_AXES.min(drives);
     let main: Vec<&Answer> = answers
         .iter()
-        .take(MAIN_AXES)
+        .take(main_axes)
         .filter_map(|answer| answer.as_ref().ok())
         .collect();
     // Without an estimate of every main axis no lead is shared: the platform would lag beside its path.
-    let main_wanted = (0..MAIN_AXES).any(wanted) && main.len() == MAIN_AXES;
-    let lead_ms = main.iter().map(|answer| answer.lead_ms.value).sum::<f64>() / MAIN_AXES as f64;
+    let main_wanted = (0..main_axes).any(wanted) && main.len() == main_axes;
+    let lead_ms = main.iter().map(|answer| answer.lead_ms.value).sum::<f64>() / main_axes as f64;
     let position_leads_ms = main
         .iter()
         .map(|answer| answer.position_lead_ms.map(|lead_ms| lead_ms.value));
     let position_lead_ms = position_leads_ms
         .sum::<Option<f64>>()
-        .map(|sum_ms| sum_ms / MAIN_AXES as f64);
+        .map(|sum_ms| sum_ms / main_axes as f64);
     let feedback = main
         .iter()
         .map(|answer| answer.feedback_gain_per_s)
         .fold(f64::INFINITY, f64::min);
-    for (number, (axis, answer)) in config.axes.iter_mut().zip(answers).enumerate() {
+    for (number, (axis, answer)) in config.axes.iter_mut().zip(answers).take(drives).enumerate() {
         if number < MAIN_AXES && main_wanted {
             axis.feed_forward_lead_ms = lead_ms;
             axis.feedback_gain_per_s = feedback;

@@ -23,6 +23,10 @@
 //! 10. `commands`: options, calls and printed results of the program's commands
 #![forbid(unsafe_code)]
 
+// Its macros replace those of the standard library in every module below.
+#[macro_use]
+pub mod terminal;
+
 pub mod axes;
 pub mod bench;
 pub mod black_box;
@@ -58,4 +62,3 @@ pub mod segment;
 pub mod settings;
 pub mod setup;
 pub mod simulation;
-pub mod terminal;

@@ -7,6 +7,7 @@ use host_tools::commands::{
     operate, order, plan, preview, record, recorded, reference, segment, shell, simulate, vectorize, verify,
 };
 use host_tools::drawing::preparation::confined;
+use host_tools::eprintln;
 use host_tools::error::ProgramError;
 use host_tools::terminal::in_colour;
 use std::process::ExitCode;

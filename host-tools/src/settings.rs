@@ -1,26 +1,27 @@
 //! Reads configuration files, and changes single values in them without changing anything else.
 //!
 //! Comments, order and all other values are kept. A file that does not exist is created from the sample that lists all
-//! values; a file without axes gets the sample's axes.
+//! values; a file without axes gets them.
 //!
-//! Invariant: the written file is a valid configuration within its bounds; the file is replaced as a whole or not at
-//! all.
+//! Invariant: the written file is a valid configuration within its bounds, and reads as before but for the stored values;
+//! the file is replaced as a whole or not at all.
 
 pub mod checking;
 pub mod machines;
 pub mod reading;
 pub mod starting;
 
+use crate::axes::as_written;
 use crate::error::{ProgramError, code};
 use crate::link::text;
-use etherpen::config::{Config, ConfigError, IoError};
+use etherpen::config::{Axis, Config, ConfigError, IoError};
 use etherpen::control::robot_axes::resolver_angle_rad;
-use etherpen::robots::AXES;
+use etherpen::robots::{AXES, Kind};
 use reading::ReadingError;
 use std::fs::File;
 use std::io::{self, Read};
 use std::path::Path;
-use toml_edit::{DocumentMut, Item, TomlError, Value};
+use toml_edit::{ArrayOfTables, DocumentMut, Item, Table, TomlError, Value};
 
 /// Largest difference between the angles of a reference at stored marks and the stored angles, rad: more than an
 /// increment of a resolver.
@@ -53,6 +54,15 @@ pub enum SettingsError {
     Bounds(ConfigError),
     /// A named input or output could not be used.
     Io(IoError),
+    /// The file describes another kind of machine.
+    Kind {
+        /// Kind of the file.
+        file: Kind,
+        /// Kind of the machine whose values are stored.
+        machine: Kind,
+    },
+    /// Values that nobody asked to store would change.
+    Others,
 }
 
 impl std::fmt::Display for SettingsError {
@@ -62,8 +72,18 @@ impl std::fmt::Display for SettingsError {
             Self::Syntax(cause) => f.write_str(&shortened(cause)),
             Self::Place { axis, field } => write!(f, "there is no place for axes[{axis}].{field} in it"),
             Self::Configuration(cause) => f.write_str(&shortened(cause)),
-            Self::Bounds(cause) => f.write_str(&text::config_error(cause)),
+            // The message around it names the file.
+            Self::Bounds(cause) => f.write_str(&text::config_error(cause).replace(" in etherpen.toml", "")),
             Self::Io(cause) => f.write_str(&text::io_error(cause)),
+            Self::Kind { file, machine } => write!(
+                f,
+                "the file describes a {}, and the machine is a {}: name the machine's own file (etherpen config new --kind \
+                 {} writes one)",
+                file.name(),
+                machine.name(),
+                machine.name()
+            ),
+            Self::Others => f.write_str("other values than the stored ones would change; write [[axes]] for each axis"),
         }
     }
 }
@@ -130,6 +150,47 @@ fn checked(text: &str, shown: &dyn std::fmt::Display) -> Result<Config, ProgramE
 /// A configuration file being changed.
 pub struct Settings {
     document: DocumentMut,
+    /// What the file said before; `None` if it was no configuration.
+    before: Option<Config>,
+}
+
+/// The values of an axis that [`Settings::store_axes`] stores.
+const STORED: [&str; 6] = [
+    "feedback_gain_per_s",
+    "feed_forward_gain",
+    "feed_forward_lead_ms",
+    "position_lead_ms",
+    "sync_angle_rad",
+    "sync_increments",
+];
+
+/// The values of [`STORED`], in their order.
+fn stored(axis: &Axis) -> [f64; STORED.len()] {
+    [
+        axis.feedback_gain_per_s,
+        axis.feed_forward_gain,
+        axis.feed_forward_lead_ms,
+        axis.position_lead_ms,
+        axis.sync_angle_rad,
+        axis.sync_increments.into(),
+    ]
+}
+
+/// A configuration without the values that can be stored, to compare the others.
+fn others(config: &Config) -> Config {
+    let mut others = config.clone();
+    for axis in &mut others.axes {
+        *axis = Axis {
+            feedback_gain_per_s: 0.0,
+            feed_forward_gain: 0.0,
+            feed_forward_lead_ms: 0.0,
+            position_lead_ms: 0.0,
+            sync_angle_rad: 0.0,
+            sync_increments: 0,
+            ..*axis
+        };
+    }
+    others
 }
 
 impl Settings {
@@ -151,13 +212,26 @@ impl Settings {
     /// [`SettingsError::Syntax`].
     pub fn parse(text: &str) -> Result<Self, SettingsError> {
         let mut document: DocumentMut = text.parse().map_err(SettingsError::Syntax)?;
-        if document.get("axes").is_none() {
-            let mut sample: DocumentMut = SAMPLE.parse().map_err(SettingsError::Syntax)?;
-            if let Some(axes) = sample.remove("axes") {
-                document.insert("axes", axes);
+        let before = reading::configuration(text).ok();
+        let is_of_sample = before
+            .as_ref()
+            .is_none_or(|config| config.geometry.kind() == Kind::default());
+        match document.get("axes") {
+            Some(_) => {}
+            // What the axes share stays where it is.
+            None if document.contains_key(reading::SHARED) => {
+                let axes: ArrayOfTables = (0..AXES).map(|_| Table::new()).collect();
+                document.insert("axes", Item::ArrayOfTables(axes));
             }
+            None if is_of_sample => {
+                let mut sample: DocumentMut = SAMPLE.parse().map_err(SettingsError::Syntax)?;
+                if let Some(axes) = sample.remove("axes") {
+                    document.insert("axes", axes);
+                }
+            }
+            None => {}
         }
-        Ok(Self { document })
+        Ok(Self { document, before })
     }
 
     /// Sets one value of an axis, from 0.
@@ -186,41 +260,43 @@ impl Settings {
         Ok(())
     }
 
-    /// Stores the axes' values that differ from the file; returns their number.
+    /// Stores the axes' values that differ from the file, each in the unit of its axis; returns their number. Axes without a
+    /// drive are left alone.
     ///
     /// # Errors
     /// [`SettingsError`]; nothing is written.
     pub fn store_axes(&mut self, wanted: &Config) -> Result<usize, SettingsError> {
         let now = self.config()?;
+        self.check_kind(wanted.geometry.kind())?;
+        let kind = now.geometry.kind();
         let mut changed = 0;
-        for (number, (axis, before)) in wanted.axes.iter().zip(&now.axes).enumerate() {
-            let values = [
-                (
-                    "feedback_gain_per_s",
-                    axis.feedback_gain_per_s,
-                    before.feedback_gain_per_s,
-                ),
-                ("feed_forward_gain", axis.feed_forward_gain, before.feed_forward_gain),
-                (
-                    "feed_forward_lead_ms",
-                    axis.feed_forward_lead_ms,
-                    before.feed_forward_lead_ms,
-                ),
-                ("position_lead_ms", axis.position_lead_ms, before.position_lead_ms),
-                ("sync_angle_rad", axis.sync_angle_rad, before.sync_angle_rad),
-            ];
-            for (field, value, before) in values {
-                if value != before {
-                    self.set_axis(number, field, value)?;
-                    changed += 1;
+        let axes = wanted.axes.iter().zip(&now.axes).take(wanted.bus.drives.into());
+        for (number, (axis, before)) in axes.enumerate() {
+            let values = STORED.into_iter().zip(stored(axis).into_iter().zip(stored(before)));
+            for (field, (value, _)) in values.filter(|(_, (value, before))| value != before) {
+                match as_written(kind, number, field) {
+                    _ if field == "sync_increments" => {
+                        self.set_axis(number, field, i64::from(axis.sync_increments))?;
+                    }
+                    Some((field, factor)) => self.set_axis(number, field, value * factor)?,
+                    None => self.set_axis(number, field, value)?,
                 }
-            }
-            if axis.sync_increments != before.sync_increments {
-                self.set_axis(number, "sync_increments", i64::from(axis.sync_increments))?;
                 changed += 1;
             }
         }
         Ok(changed)
+    }
+
+    /// Refuses a machine of another kind than the file's.
+    ///
+    /// # Errors
+    /// [`SettingsError::Kind`].
+    pub fn check_kind(&self, machine: Kind) -> Result<(), SettingsError> {
+        let file = self.before.as_ref().map_or(machine, |config| config.geometry.kind());
+        match file == machine {
+            true => Ok(()),
+            false => Err(SettingsError::Kind { file, machine }),
+        }
     }
 
     /// The configuration that reading the changed file would give.
@@ -239,12 +315,36 @@ impl Settings {
     /// # Errors
     /// [`SettingsError`]; the file is unchanged.
     pub fn save(&self, path: &Path) -> Result<(), SettingsError> {
-        self.config()?;
+        let now = self.config()?;
+        if self
+            .before
+            .as_ref()
+            .is_some_and(|before| others(before) != others(&now))
+        {
+            return Err(SettingsError::Others);
+        }
         crate::output_file::write(path, self.document.to_string().as_bytes()).map_err(SettingsError::File)
     }
 }
 
-/// Stores a pose as the marks in a configuration file, and reads it back; returns the number of changed values.
+/// Refuses a file in which a machine's values cannot be stored, before the machine is asked for them.
+///
+/// # Errors
+/// The file cannot be read, or describes another kind of machine.
+pub fn check_target(path: &Path, kind: Kind) -> Result<(), ProgramError> {
+    let checked = Settings::open(path).and_then(|settings| settings.check_kind(kind));
+    let refused = |cause: SettingsError| {
+        let what = match path.exists() {
+            true => "cannot be changed",
+            false => "does not exist, and would become an IRB 340",
+        };
+        ProgramError::new(code::USAGE, format!("{} {what}: {cause}", path.display()))
+    };
+    checked.map_err(refused)
+}
+
+/// Stores a pose as the marks in a configuration file, and reads it back; returns the number of changed values. Axes with a
+/// home switch have no marks.
 ///
 /// # Errors
 /// The file cannot be changed, or contains other values than the ones stored.
@@ -262,13 +362,14 @@ pub fn store_reference(
         .and_then(|settings| settings.config())
         .map_err(failed)?;
     let shown = stored.axes.iter().zip(increments).zip(pose_rad);
-    for (number, ((axis, increments), angle_rad)) in (1..).zip(shown) {
+    let driven = (1..).zip(shown).take(marked.bus.drives.into());
+    for (number, ((axis, increments), angle_rad)) in driven.filter(|(_, ((axis, _), _))| axis.home.io.is_none()) {
         let again_rad = resolver_angle_rad(axis, i64::from(increments), None);
         let difference_rad = (again_rad - angle_rad).abs();
         if difference_rad.is_nan() || difference_rad > STORED_DIFFERENCE_MAX_RAD {
             let message = format!(
-                "{}: axis {number} would be at {again_rad} rad after a reference at the stored marks, and is at \
-                 {angle_rad} rad; look whether another program writes the file",
+                "{}: axis {number} would be {difference_rad} rad away from its place after a reference at the stored \
+                 marks; look whether another program writes the file",
                 path.display()
             );
             return Err(ProgramError::new(code::FAILED, message));
@@ -309,6 +410,71 @@ mod tests {
         assert_eq!(settings.store_axes(&config).unwrap(), 1);
         assert_eq!(settings.config().unwrap(), config);
         assert!(settings.document.to_string().starts_with("# mine\n[motion]"));
+    }
+
+    #[test]
+    fn what_the_axes_share_stays_theirs_when_a_file_without_axes_gets_them() {
+        let mut settings = Settings::parse("[axis_defaults]\ngear = 14.0\n").unwrap();
+        let mut config = settings.config().unwrap();
+        assert_eq!(config.axes.map(|axis| axis.gear), [14.0; AXES]);
+        config.axes[2].sync_angle_rad = 0.25;
+        assert_eq!(settings.store_axes(&config).unwrap(), 1);
+        assert_eq!(settings.config().unwrap(), config);
+        assert!(!settings.document.to_string().contains("12.0"), "{}", settings.document);
+    }
+
+    #[test]
+    fn marks_are_stored_in_the_unit_of_each_axis_on_every_machine() {
+        for machine in machines::MACHINES {
+            let mut settings = Settings::parse(machine.text).unwrap();
+            let mut config = machine.load().unwrap();
+            let drives = usize::from(config.bus.drives);
+            for (number, axis) in config.axes.iter_mut().enumerate() {
+                axis.sync_angle_rad += 0.0125;
+                axis.sync_increments = 1_000 + number as u32;
+            }
+            assert_eq!(settings.store_axes(&config).unwrap(), 2 * drives, "{}", machine.name);
+            let read = settings.config().unwrap();
+            for (axis, wanted) in read.axes.iter().zip(&config.axes).take(drives) {
+                assert!(
+                    (axis.sync_angle_rad - wanted.sync_angle_rad).abs() < 1.0e-9,
+                    "{}",
+                    machine.name
+                );
+                assert_eq!(axis.sync_increments, wanted.sync_increments);
+            }
+            let path =
+                std::env::temp_dir().join(format!("etherpen-marks-{}-{}.toml", machine.name, std::process::id()));
+            settings.save(&path).unwrap();
+            std::fs::remove_file(&path).unwrap();
+        }
+    }
+
+    #[test]
+    fn another_kind_of_machine_is_not_stored() {
+        let mut settings = Settings::parse(SAMPLE).unwrap();
+        let gantry = machines::MACHINES[1].load().unwrap();
+        let refused = settings.store_axes(&gantry).unwrap_err();
+        assert!(
+            matches!(
+                refused,
+                SettingsError::Kind {
+                    file: Kind::Delta,
+                    machine: Kind::Gantry
+                }
+            ),
+            "{refused:?}"
+        );
+        assert!(refused.to_string().contains("config new --kind gantry"), "{refused}");
+    }
+
+    #[test]
+    fn a_change_of_another_value_is_not_written() {
+        let path = std::env::temp_dir().join(format!("etherpen-others-{}.toml", std::process::id()));
+        let mut settings = Settings::parse(SAMPLE).unwrap();
+        settings.set_axis(0, "gear", 14.0).unwrap();
+        assert!(matches!(settings.save(&path), Err(SettingsError::Others)));
+        assert!(!path.exists());
     }
 
     #[test]

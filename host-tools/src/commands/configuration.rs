@@ -5,6 +5,8 @@ use super::{ConfigArguments, print_json};
 use crate::axes::{self, Motion};
 use crate::error::{ProgramError, code};
 use crate::settings::checking::{self, Finding, Gravity};
+use crate::settings::machines::MachineChoice;
+use crate::settings::reading;
 use crate::settings::starting::{self, SIZES, Wishes};
 use crate::terminal::counted;
 use etherpen::config::Config;
@@ -82,7 +84,7 @@ struct New {
     /// Travel of linear axes for one turn of the pulley or screw, mm.
     #[arg(long, value_name = "MM")]
     pitch: Option<f64>,
-    /// Motor turns for one turn of the joint, pulley or screw; negative: the other way.
+    /// Motor turns for one turn of the joint, pulley or screw; of a SCARA's two links. Negative: the other way.
     #[arg(long, value_name = "TURNS", allow_negative_numbers = true)]
     gear: Option<f64>,
     /// Number of drives (etherpen bus scan lists them).
@@ -170,6 +172,9 @@ fn check_file(arguments: &Check) -> Result<(), ProgramError> {
     let shown = file.display().to_string();
     let text = crate::settings::read(&file)
         .map_err(|cause| ProgramError::new(code::USAGE, format!("{shown} cannot be read: {cause}")))?;
+    if let Ok(config) = reading::configuration(&text) {
+        axes::set_machine(config.geometry.kind());
+    }
     let findings = checking::check(&text);
     let errors = findings
         .iter()
@@ -217,6 +222,7 @@ fn new_file(arguments: &New) -> Result<(), ProgramError> {
             return Err(usage(format!("which kind of machine? --kind is one of {names}")));
         }
     };
+    axes::set_machine(kind);
     let mut wishes = Wishes {
         sizes_mm: [
             arguments.width,
@@ -307,20 +313,19 @@ fn entries(show: &Show) -> Result<BTreeMap<String, ConfigEntry>, ProgramError> {
             entries.insert(key, ConfigEntry { value, origin });
         }
     });
-    if let Some((path, how)) = show.config.file() {
-        let text = std::fs::read_to_string(&path).map_err(|cause| failed(&cause))?;
+    let source = match (&show.config.machine, show.config.file()) {
+        (Some(MachineChoice::Bundled(machine)), _) => {
+            Some((machine.text.to_owned(), format!("flag --machine {}", machine.name)))
+        }
+        (_, Some((path, how))) => {
+            let text = std::fs::read_to_string(&path).map_err(|cause| failed(&cause))?;
+            Some((text, format!("{} ({how})", path.display())))
+        }
+        (_, None) => None,
+    };
+    if let Some((text, origin)) = source {
         let written: serde_json::Value = toml::from_str(&text).map_err(|cause| failed(&cause))?;
-        let origin = format!("{} ({how})", path.display());
-        flatten(&written, "", &mut |key, _| {
-            let shared = key.strip_prefix("axis_defaults.");
-            let of_axes = shared.map_or(0, |_| usize::from(config.bus.drives));
-            let keys = (0..of_axes).map(|axis| format!("axes[{axis}].{}", shared.unwrap_or_default()));
-            for key in keys.chain([key.clone()]) {
-                if let Some(entry) = entries.get_mut(&key) {
-                    entry.origin.clone_from(&origin);
-                }
-            }
-        });
+        as_written(&config, &written, &origin, &mut entries);
     }
     let (value, origin) = match &show.port.port {
         Some(port) if show.port.is_from_environment() => (port.to_string().into(), "environment ETHERPEN_PORT"),
@@ -330,6 +335,56 @@ fn entries(show: &Show) -> Result<BTreeMap<String, ConfigEntry>, ProgramError> {
     let origin = origin.to_owned();
     entries.insert("port".into(), ConfigEntry { value, origin });
     Ok(entries)
+}
+
+/// Gives the values that a file writes their origin, and those that it writes otherwise than the controller has them its
+/// own names and values.
+fn as_written(config: &Config, written: &serde_json::Value, origin: &str, entries: &mut BTreeMap<String, ConfigEntry>) {
+    let mut values: Vec<(String, serde_json::Value)> = Vec::new();
+    flatten(written, "", &mut |key, value| {
+        let Some(shared) = key.strip_prefix("axis_defaults.") else {
+            return values.push((key, value.clone()));
+        };
+        // What an axis writes itself comes later, and replaces it.
+        let of_axes = (0..config.bus.drives).map(|axis| (format!("axes[{axis}].{shared}"), value.clone()));
+        values.splice(0..0, of_axes);
+    });
+    let kind = config.geometry.kind();
+    let axis_of = |key: &str| {
+        let (axis, name) = key.strip_prefix("axes[")?.split_once("].")?;
+        Some((axis.parse::<usize>().ok()?, name.to_owned()))
+    };
+    let is_linear = |axis: usize| axes::motion(kind, axis) == Motion::Linear && axis < usize::from(config.bus.drives);
+    // A linear axis's gear is that of its pulley or screw; without one the motor drives it directly.
+    for axis in (0..usize::from(config.bus.drives)).filter(|axis| is_linear(*axis)) {
+        if let Some(entry) = entries.get_mut(&format!("axes[{axis}].gear")) {
+            entry.value = 1.0.into();
+        }
+    }
+    for (key, value) in values {
+        let origin = origin.to_owned();
+        let of_axis = axis_of(&key);
+        if let Some((axis, "home.switch")) = of_axis.as_ref().map(|(axis, name)| (*axis, name.as_str())) {
+            entries.remove(&format!("axes[{axis}].home.io"));
+            entries.insert(key, ConfigEntry { value, origin });
+            continue;
+        }
+        if let Some((axis, "pitch_mm" | "gear")) = of_axis.as_ref().map(|(axis, name)| (*axis, name.as_str()))
+            && is_linear(axis)
+        {
+            entries.insert(key, ConfigEntry { value, origin });
+            continue;
+        }
+        // Where all axes are rotary, a list may be written under either name.
+        let other = key
+            .replace("joint_speed[", "joint_speed_rad_s[")
+            .replace("joint_acceleration[", "joint_acceleration_rad_s2[");
+        for key in [key, other] {
+            if let Some(entry) = entries.get_mut(&key) {
+                entry.origin.clone_from(&origin);
+            }
+        }
+    }
 }
 
 /// A value as a configuration file names and writes it; `None` for one of an axis that the machine lacks.
@@ -427,6 +482,27 @@ mod tests {
     }
 
     #[test]
+    fn the_values_of_a_bundled_machine_come_from_its_option() {
+        let shown = |name: &str| {
+            let show = Show {
+                origin: true,
+                json: false,
+                port: OptionalPort { port: None },
+                config: ConfigArguments {
+                    config: None,
+                    machine: name.parse().ok(),
+                },
+            };
+            entries(&show).unwrap()
+        };
+        let delta = shown("irb340");
+        assert_eq!(delta["motion.joint_speed_rad_s[1]"].origin, "flag --machine irb340");
+        assert_eq!(delta["axes[0].gear"].origin, "flag --machine irb340");
+        assert_eq!(delta["axes[0].feed_forward_gain"].origin, "built-in");
+        assert_eq!(shown("gantry")["axes[2].mass_kg"].origin, "flag --machine gantry");
+    }
+
+    #[test]
     fn a_machine_with_linear_axes_is_shown_as_its_file_writes_it() {
         let gantry = crate::settings::machines::MACHINES[1];
         let path = std::env::temp_dir().join(format!("etherpen-linear-{}.toml", std::process::id()));
@@ -441,6 +517,19 @@ mod tests {
             speed.origin
         );
         assert_eq!(entries["motion.joint_speed[2]"].value, serde_json::json!(300.0));
+        for (key, value) in [
+            ("axes[0].gear", serde_json::json!(1.0)),
+            ("axes[0].pitch_mm", serde_json::json!(40.0)),
+            ("axes[1].home.switch", serde_json::json!("y_home")),
+            ("motion.joint_speed[0]", serde_json::json!(1000.0)),
+        ] {
+            let entry = &entries[key];
+            assert!(
+                entry.value == value && entry.origin.contains("flag --config"),
+                "{key}: {entry:?}"
+            );
+        }
+        assert!(!entries.contains_key("axes[1].home.io"));
         assert!(entries.keys().all(|key| !key.starts_with("axes[3]")), "three drives");
     }
 }

@@ -7,8 +7,8 @@ use crate::error::{ProgramError, code};
 use crate::job::reference::{Referenced, all};
 use crate::job::{Job, JobOptions, Ready, Task};
 use crate::link::port::PortName;
-use crate::machine::Order;
 use crate::machine::access::{self, OwnPort};
+use crate::machine::{Client, Order, refuse_other_configuration};
 use crate::simulation::{self, Host};
 use etherpen::config::Config;
 use etherpen::messages::{Sample, Status};
@@ -17,10 +17,12 @@ use etherpen::robots::JointAngles;
 /// Longest simulated time, ms.
 const SIMULATED_MAX_MS: u32 = 600_000;
 
-/// Whether axes are homed by switches.
-pub fn has_switches(config: &Config) -> bool {
-    let mut used = config.axes.iter().take(config.bus.drives.into());
-    used.any(|axis| axis.home.io.is_some())
+/// The axes that are homed by switches, numbered from 1.
+pub fn switched(config: &Config) -> Vec<String> {
+    let used = (1..).zip(config.axes.iter().take(config.bus.drives.into()));
+    used.filter(|(_, axis)| axis.home.io.is_some())
+        .map(|(number, _): (usize, _)| number.to_string())
+        .collect()
 }
 
 /// A job in virtual time.
@@ -39,14 +41,17 @@ impl Host for Simulated {
 /// Homes the machine at a port; its drives keep their power.
 ///
 /// # Errors
-/// There is no connection, or the machine could not be homed.
+/// There is no connection, another program works with another configuration, or the machine could not be homed.
 pub fn at_port(config: &Config, port: &PortName) -> Result<Referenced, ProgramError> {
+    if let Some(mut client) = Client::find(port) {
+        refuse_other_configuration(&mut client, config)?;
+    }
     let own = OwnPort {
         config: &|| Ok(config.clone()),
         interrupted: &ended_by_a_signal,
         tell: &|waiting| eprintln!("{waiting}"),
     };
-    let effect = access::carry_out(port, own, Order::Prepare(Ready::Referenced))?;
+    let effect = access::carry_out(port, own, Order::Prepare(Ready::Homed))?;
     found(config, effect.snapshot.status.as_ref(), effect.snapshot.sample.as_ref())
 }
 
@@ -56,7 +61,7 @@ pub fn at_port(config: &Config, port: &PortName) -> Result<Referenced, ProgramEr
 /// The machine could not be homed.
 pub fn simulated(config: &Config, options: CellOptions) -> Result<Referenced, ProgramError> {
     let mut cell = Cell::new(config, options);
-    let task = Task::Prepare(Ready::Referenced);
+    let task = Task::Prepare(Ready::Homed);
     let mut host = Simulated(Job::new(config.clone(), task, JobOptions::default()));
     simulation::run(&mut cell, &mut host, SIMULATED_MAX_MS);
     let Simulated(job) = host;

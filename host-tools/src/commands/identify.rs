@@ -17,6 +17,7 @@ use crate::link::port::{Port, PortName};
 use crate::link::session::session_number;
 use crate::report::identified::{Identified, identify};
 use crate::run::{self, RunTask};
+use crate::settings::check_target;
 use crate::terminal::counted;
 use etherpen::config::Config;
 use etherpen::robots::AXES;
@@ -61,13 +62,21 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
             "which machine? Name its port (--port /dev/ttyACM0, tcp:host:port or unix:path), or try it with --simulate";
         return Err(ProgramError::new(code::USAGE, text));
     }
-    let mut operator = port.as_ref().map(|_| Operator::start());
     let only = arguments.axis.map(|axis| usize::from(axis) - 1);
+    if let Some(axis) = arguments.axis.filter(|axis| *axis > config.bus.drives) {
+        let text = format!(
+            "there is no axis {axis}: the machine has {}",
+            counted(config.bus.drives, "drive")
+        );
+        return Err(ProgramError::new(code::USAGE, text));
+    }
+    let target = target(arguments, &config)?;
+    let mut operator = port.as_ref().map(|_| Operator::start());
     let mut result = identify(&config, only, |config| {
         drive(port.as_ref(), config, physics, operator.as_mut())
     })?;
     print(&result);
-    if let Some(path) = target(arguments) {
+    if let Some(path) = target {
         let changed = result.store(&path)?;
         eprintln!("{} changed in {}.", counted(changed, "value"), path.display());
     }
@@ -77,15 +86,16 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     Ok(())
 }
 
-fn target(arguments: &Arguments) -> Option<PathBuf> {
-    let in_use = || {
-        arguments
-            .config
-            .config
-            .clone()
-            .unwrap_or_else(|| PathBuf::from("etherpen.toml"))
-    };
-    arguments.output.clone().or_else(|| arguments.store.then(in_use))
+/// The file for the values, if they are to be stored.
+fn target(arguments: &Arguments, config: &Config) -> Result<Option<PathBuf>, ProgramError> {
+    match &arguments.output {
+        Some(path) => {
+            check_target(path, config.geometry.kind())?;
+            Ok(Some(path.clone()))
+        }
+        None if arguments.store => arguments.config.file_to_store(config).map(Some),
+        None => Ok(None),
+    }
 }
 
 /// Drives the test motion once, on the machine at a port or in a virtual cell.

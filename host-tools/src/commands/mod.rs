@@ -39,8 +39,8 @@ use crate::axes;
 use crate::cell::{CellChoice, Physics};
 use crate::drawing::preparation::source::SourceArguments;
 use crate::error::{ProgramError, code};
-use crate::settings::load;
-use crate::settings::machines::MachineChoice;
+use crate::settings::machines::{MACHINES, MachineChoice};
+use crate::settings::{check_target, load};
 use etherpen::config::Config;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use std::path::{Path, PathBuf};
@@ -141,6 +141,26 @@ impl ConfigArguments {
         self.file().map(|(path, _)| path)
     }
 
+    /// The configuration file in which values of this machine are stored: the one in use, or `etherpen.toml` in this folder.
+    ///
+    /// # Errors
+    /// The machine is a bundled one, or the file describes another kind of machine.
+    pub fn file_to_store(&self, config: &Config) -> Result<PathBuf, ProgramError> {
+        let kind = config.geometry.kind();
+        if let Some(MachineChoice::Bundled(machine)) = &self.machine {
+            let text = format!(
+                "--machine {} is bundled and cannot be changed: write a file of your own first (etherpen config new --kind \
+                 {}), and use that one",
+                machine.name,
+                kind.name()
+            );
+            return Err(ProgramError::new(code::USAGE, text));
+        }
+        let path = self.path().unwrap_or_else(|| PathBuf::from("etherpen.toml"));
+        check_target(&path, kind)?;
+        Ok(path)
+    }
+
     /// Reads and checks the configuration.
     ///
     /// # Errors
@@ -148,6 +168,14 @@ impl ConfigArguments {
     pub fn load(&self) -> Result<Config, ProgramError> {
         let config = match &self.machine {
             Some(MachineChoice::Bundled(machine)) => machine.load(),
+            Some(MachineChoice::File(path)) if !path.exists() => {
+                let names = MACHINES.map(|machine| machine.name).join(", ");
+                let text = format!(
+                    "--machine {}: there is no such file, and no bundled machine of that name; those are {names}",
+                    path.display()
+                );
+                return Err(ProgramError::new(code::USAGE, text));
+            }
             _ => load(self.path().as_deref()),
         }?;
         axes::set_machine(config.geometry.kind());

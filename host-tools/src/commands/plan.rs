@@ -1,7 +1,7 @@
 //! `etherpen plan`: runs a path through the firmware's planner and shows duration, peaks, violations and references.
 
 use super::{ConfigArguments, print_json};
-use crate::axes::{AxisView, Motion, Quantity, axes};
+use crate::axes::{AxisView, Motion, Quantity, axes, motions};
 use crate::drawing::preparation::compose::unusable;
 use crate::drawing::preparation::listed::read_path;
 use crate::drawing::preparation::source::SourceArguments;
@@ -64,11 +64,11 @@ pub struct Arguments {
 /// Limits given by hand; they override the configuration, and its bounds too: nothing moves.
 #[derive(clap::Args, Debug, Default)]
 struct LimitArguments {
-    /// Speed limit of every axis.
-    #[arg(long, value_name = "RAD_S", value_parser = limit)]
+    /// Speed limit of every axis, in its own unit: rad/s, or mm/s of a linear axis.
+    #[arg(long, value_name = "RAD_S|MM_S", value_parser = limit)]
     joint_speed: Option<f64>,
-    /// Acceleration limit of every axis.
-    #[arg(long, value_name = "RAD_S2", value_parser = limit)]
+    /// Acceleration limit of every axis, in its own unit: rad/s2, or mm/s2 of a linear axis.
+    #[arg(long, value_name = "RAD_S2|MM_S2", value_parser = limit)]
     joint_acceleration: Option<f64>,
     /// Speed limit of the tool, pen down and up.
     #[arg(long, value_name = "MM_S", value_parser = limit)]
@@ -103,11 +103,15 @@ fn limit(text: &str) -> Result<f64, String> {
 
 impl LimitArguments {
     fn apply(&self, config: &mut Config) {
+        let motions = motions(config.geometry.kind());
         let motion = &mut config.motion;
         let set = |value: &mut f64, given: Option<f64>| *value = given.unwrap_or(*value);
-        for axis in 0..AXES {
-            set(&mut motion.joint_speed_rad_s[axis], self.joint_speed);
-            set(&mut motion.joint_acceleration_rad_s2[axis], self.joint_acceleration);
+        let speeds = motion.joint_speed_rad_s.iter_mut();
+        let limits = speeds.zip(&mut motion.joint_acceleration_rad_s2).zip(motions);
+        for ((speed_rad_s, acceleration_rad_s2), axis) in limits {
+            let in_rad = |given: Option<f64>| given.map(|value| value / axis.factor());
+            set(speed_rad_s, in_rad(self.joint_speed));
+            set(acceleration_rad_s2, in_rad(self.joint_acceleration));
         }
         set(&mut motion.speed_mm_s, self.speed);
         set(&mut motion.travel_speed_mm_s, self.speed);

@@ -11,7 +11,7 @@ use crate::drawing::preparation::prepare::prepare;
 use crate::error::{ProgramError, code};
 use crate::job::Control;
 use crate::link::port::PortName;
-use crate::machine::{Account, Client, Machine, MachineOptions, NoNews, Source};
+use crate::machine::{Account, Client, Machine, MachineOptions, NoNews, Source, refuse_other_configuration};
 use crate::output_file::refuse_input;
 use crate::recording::file::RecordingFile;
 use crate::recording::{About, Recorder};
@@ -163,7 +163,8 @@ fn simulate(arguments: &Arguments, config: &Config, physics: Physics, file: &Pat
 
 /// The machine at a port, or the program that has the port.
 fn source(config: &Config, port: &PortName) -> Result<Source, ProgramError> {
-    if let Some(client) = Client::find(port) {
+    if let Some(mut client) = Client::find(port) {
+        refuse_other_configuration(&mut client, config)?;
         eprintln!("through {}", client.owner());
         return Ok(Source::follow(client)?);
     }

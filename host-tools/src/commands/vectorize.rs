@@ -5,7 +5,7 @@ use crate::drawing::preparation::compose::{from_photograph, unusable};
 use crate::drawing::preparation::source::SourceArguments;
 use crate::drawing::preparation::variants::{Variant, contact_sheet, variants_of};
 use crate::drawing::{DrawingError, Input, load, write_svg};
-use crate::error::ProgramError;
+use crate::error::{ProgramError, code};
 use crate::output_file::{refuse_input, write_bytes, write_text};
 use crate::terminal::counted;
 use serde::Serialize;
@@ -73,6 +73,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     for out in [&arguments.out, &arguments.contact_sheet].into_iter().flatten() {
         refuse_input(out, &inputs)?;
     }
+    check_names(arguments)?;
     let config = arguments.config.load()?;
     let refused = |cause: DrawingError| unusable(&arguments.photo, &cause);
     let Input::Photograph(picture) = load(&arguments.photo).map_err(refused)? else {
@@ -122,6 +123,28 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
             variant.options,
             counted(variant.strokes, "stroke")
         );
+    }
+    Ok(())
+}
+
+/// Refuses names of files that would be written twice, or with another format than their name says.
+fn check_names(arguments: &Arguments) -> Result<(), ProgramError> {
+    let Some(sheet) = &arguments.contact_sheet else {
+        return Ok(());
+    };
+    let shown = sheet.display();
+    let is_png = sheet.extension().is_some_and(|end| end.eq_ignore_ascii_case("png"));
+    if !is_png && sheet.as_os_str() != "-" {
+        let text = format!("--contact-sheet {shown}: it is a PNG; give it a name that ends in .png");
+        return Err(ProgramError::new(code::USAGE, text));
+    }
+    let is_same = |out: &PathBuf| match (out.canonicalize(), sheet.canonicalize()) {
+        (Ok(out), Ok(sheet)) => out == sheet,
+        _ => out == sheet,
+    };
+    if arguments.out.as_ref().is_some_and(is_same) {
+        let text = format!("-o and --contact-sheet are both {shown}; name two files");
+        return Err(ProgramError::new(code::USAGE, text));
     }
     Ok(())
 }

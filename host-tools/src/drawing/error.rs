@@ -142,6 +142,22 @@ pub enum DrawingError {
     },
     /// The rotation of a photograph is not a multiple of 90 degrees.
     BadRotation,
+    /// A window of a photograph has too few pixels, or lies outside.
+    BadCrop {
+        /// Width of the upright photograph, pixels.
+        width: u32,
+        /// Height of the upright photograph, pixels.
+        height: u32,
+        /// Fewest pixels accepted on either side.
+        side_min: u32,
+    },
+    /// A face that was pointed at lies outside the photograph, or is larger than it.
+    BadFocus {
+        /// Width of the upright photograph, pixels.
+        width: u32,
+        /// Height of the upright photograph, pixels.
+        height: u32,
+    },
     /// A vector file contains no line.
     NothingDrawn,
     /// No layer has the requested name or number.
@@ -296,6 +312,20 @@ impl fmt::Display for DrawingError {
                  it smaller (--size)",
                 asked_ms as f64 / 1_000.0,
                 shortest_ms as f64 / 1_000.0
+            ),
+            Self::BadCrop {
+                width,
+                height,
+                side_min,
+            } => write!(
+                f,
+                "--crop X,Y,W,H leaves less than {side_min} x {side_min} pixels of it; the upright picture has {width} x \
+                 {height} pixels"
+            ),
+            Self::BadFocus { width, height } => write!(
+                f,
+                "--focus X,Y,R is not a face in it: the centre has to be inside the upright picture of {width} x {height} \
+                 pixels, and the radius at most its diagonal"
             ),
             Self::BadRotation => write!(f, "a photograph is turned by 90, 180 or 270 degrees"),
             Self::NothingDrawn => write!(

@@ -177,6 +177,8 @@ impl Plane {
     }
 
     fn averaged_rows(&self, radius: usize) -> Self {
+        // Farther out there is only the border, continued.
+        let radius = radius.min(self.width.max(self.height));
         let length = 2 * radius + 1;
         let scale = 1.0 / length as f64;
         self.by_rows(radius, |source, row| {

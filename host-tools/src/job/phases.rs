@@ -49,6 +49,11 @@ impl Job {
         }
     }
 
+    /// Whether the axes go to their home switches even if the machine is referenced.
+    fn searches_anew(&self) -> bool {
+        self.task == Task::Prepare(Ready::Homed) && has_switches(&self.config)
+    }
+
     /// Whether an early end has to bring the robot to rest.
     fn has_to_rest(&self) -> bool {
         let touches = !matches!(self.task, Task::Look | Task::Tell(_));
@@ -156,7 +161,7 @@ impl Job {
             Phase::Telling => self.tell(mode),
             Phase::BusUp => {
                 if matches!(mode, Mode::DrivesOff | Mode::Unreferenced | Mode::Idle) {
-                    let is_searched = !referenced && has_switches(&self.config);
+                    let is_searched = self.searches_anew() || !referenced && has_switches(&self.config);
                     self.ready(
                         Ready::Bus,
                         if is_searched {
@@ -169,7 +174,9 @@ impl Job {
             }
             Phase::Powering if mode != Mode::DrivesOff => self.enter(Phase::Referencing),
             Phase::Powering => self.request(Command::Enable),
-            Phase::Referencing if referenced && mode != Mode::Homing => self.ready(Ready::Referenced, Phase::Enabling),
+            Phase::Referencing if referenced && mode != Mode::Homing && (self.accepted || !self.searches_anew()) => {
+                self.ready(Ready::Homed, Phase::Enabling);
+            }
             Phase::Referencing => self.reference(mode),
             Phase::Enabling if mode == Mode::Idle => self.ready(Ready::Enabled, Phase::Starting),
             Phase::Enabling => self.request(Command::Enable),

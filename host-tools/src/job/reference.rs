@@ -129,7 +129,8 @@ pub struct Referenced {
 }
 
 impl Referenced {
-    /// The configuration with this pose as its marks: from then on a reference at the marks gives these angles.
+    /// The configuration with this pose as its marks: from then on a reference at the marks gives these angles. An axis with
+    /// a home switch keeps its value, the place of the switch.
     pub fn marked(&self) -> Config {
         marked(&self.config, &self.pose, &self.increments)
     }
@@ -137,7 +138,8 @@ impl Referenced {
 
 fn marked(config: &Config, pose: &JointAngles, increments: &[u32; AXES]) -> Config {
     let mut marked = config.clone();
-    for ((axis, angle_rad), increments) in marked.axes.iter_mut().zip(pose.0).zip(increments) {
+    let axes = marked.axes.iter_mut().zip(pose.0).zip(increments);
+    for ((axis, angle_rad), increments) in axes.filter(|((axis, _), _)| axis.home.io.is_none()) {
         axis.sync_angle_rad = angle_rad;
         axis.sync_increments = *increments;
     }

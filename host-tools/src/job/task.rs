@@ -98,6 +98,8 @@ pub enum Ready {
     Bus,
     /// Configured and referenced at the marks.
     Referenced,
+    /// Configured and homed anew by the home switches, also if it was referenced; without switches, referenced.
+    Homed,
     /// Configured, referenced and enabled: the drives hold the pose.
     Enabled,
 }

@@ -47,7 +47,7 @@ use etherpen::messages::{Command, RecordAnswer, RecordRequest, Sample, Status, W
 pub use following::Source;
 use lanes::{Lanes, Taken};
 pub use lanes::{OVERTAKEN, Ticket};
-pub use reference::reference_through;
+pub use reference::{reference_through, refuse_other_configuration};
 use serde::{Deserialize, Serialize};
 pub use sharing::Client;
 use sharing::Server;

@@ -37,13 +37,7 @@ pub fn reference_through(
     }
     client.carry_out(Order::Prepare(Ready::Bus))?;
     let increments = known(&mut client, |snapshot| all(&snapshot.status.as_ref()?.increments))?;
-    let status = client.snapshot()?.status;
-    if status.and_then(|status| status.config) != config.hash() {
-        let text = format!(
-            "{owner} owns the port and works with another configuration; use the same one (--config), or end that program"
-        );
-        return Err(ProgramError::new(code::USAGE, text));
-    }
+    refuse_other_configuration(&mut client, config)?;
     client.carry_out(Order::Settle(wanted.command(config, &increments)))?;
     let mut reading = Reading::default();
     let found = known(&mut client, |snapshot| {
@@ -51,6 +45,23 @@ pub fn reference_through(
     });
     eprintln!("through {owner}");
     found
+}
+
+/// Refuses a machine that works with another configuration, through the program that has its port. A machine that has none
+/// yet is not refused.
+///
+/// # Errors
+/// The configurations differ, or that program has ended.
+pub fn refuse_other_configuration(client: &mut Client, config: &Config) -> Result<(), ProgramError> {
+    let in_force = client.snapshot()?.status.and_then(|status| status.config);
+    if in_force.is_none() || in_force == config.hash() {
+        return Ok(());
+    }
+    let text = format!(
+        "{} owns the port and works with another configuration; use the same one (--config), or end that program",
+        client.owner()
+    );
+    Err(ProgramError::new(code::USAGE, text))
 }
 
 /// A value from the machine's state, once it is known.

@@ -30,7 +30,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 /// Version of the socket protocol.
-const VERSION: u16 = 2;
+const VERSION: u16 = 3;
 /// Most clients at a time. One more displaces the client that has been idle longest, if idle for `IDLE_MIN`.
 const CLIENTS_MAX: usize = 32;
 const IDLE_MIN: Duration = Duration::from_millis(250);

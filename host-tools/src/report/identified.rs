@@ -9,7 +9,7 @@ use crate::job::JobReport;
 use crate::link::text;
 use crate::settings::Settings;
 use etherpen::config::{AxisMode, Config};
-use etherpen::robots::{AXES, MAIN_AXES};
+use etherpen::robots::MAIN_AXES;
 use serde::Serialize;
 use std::path::Path;
 
@@ -95,7 +95,7 @@ impl Tracking {
 /// Result of an identification.
 #[derive(Clone, Debug, Serialize)]
 pub struct Identified {
-    /// All axes.
+    /// The axes that have a drive.
     pub axes: Vec<AxisResult>,
     /// Tracking with the present values.
     pub tracking_before: Tracking,
@@ -135,14 +135,16 @@ pub fn identify(
     mut drive: impl FnMut(&Config) -> Result<JobReport, ProgramError>,
 ) -> Result<Identified, ProgramError> {
     let first = drive(&test_config(config))?;
-    let answers = match config.axes.iter().any(|axis| axis.mode == AxisMode::Position) {
+    let mut driven = config.axes.iter().take(config.bus.drives.into());
+    let answers = match driven.any(|axis| axis.mode == AxisMode::Position) {
         true => {
             let weak = drive(&test_config(&weak_config(config)))?;
             identification::identify_with_weak(config, &first.samples, &weak.samples)
         }
         false => identification::identify(config, &first.samples),
     };
-    refuse_silence(&answers, only)?;
+    let drives = usize::from(config.bus.drives);
+    refuse_silence(answers.get(..drives).unwrap_or(&answers), only)?;
     let mut found = config.clone();
     apply(&mut found, &answers, only);
     found.check().map_err(|cause| {
@@ -150,7 +152,7 @@ pub fn identify(
         ProgramError::new(code::FAILED, format!("what was measured cannot be used: {text}"))
     })?;
     let second = drive(&test_config(&found))?;
-    let axes = answers.iter().enumerate();
+    let axes = answers.iter().take(drives).enumerate();
     Ok(Identified {
         axes: axes
             .map(|(axis, answer)| AxisResult::new(axis, config, &found, answer.as_ref()))
@@ -164,7 +166,7 @@ pub fn identify(
 
 /// Fails if a needed axis has no estimate: the requested axis, or any main axis without a request. The main axes always
 /// move.
-fn refuse_silence(answers: &[Result<Answer, NoAnswer>; AXES], only: Option<usize>) -> Result<(), ProgramError> {
+fn refuse_silence(answers: &[Result<Answer, NoAnswer>], only: Option<usize>) -> Result<(), ProgramError> {
     for (axis, answer) in answers.iter().enumerate() {
         let needed = only.map_or(axis < MAIN_AXES, |only| only == axis);
         if let (true, Err(cause)) = (needed, answer) {

@@ -5,6 +5,8 @@
 //!
 //! Invariant: every finding says what to write; its line is that of the file.
 
+mod homing;
+
 use super::reading::{self, ReadingError};
 use super::shortened;
 use crate::axes::{AxisView, Motion, Quantity, axes};
@@ -13,7 +15,7 @@ use etherpen::config::{Config, ConfigError, IoError, IoRole, PenLiftKind};
 use etherpen::motion::WorkArea;
 use etherpen::robots::{GeometryError, Kinematics, MAIN_AXES, Position};
 use serde::Serialize;
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
 
@@ -144,6 +146,9 @@ fn errors(text: &str) -> (Option<Config>, Vec<Finding>) {
     if let Err(cause) = config.check() {
         found.push(error(bounds_line(&places, &cause), bounds_text(&config, &cause)));
     }
+    if found.is_empty() {
+        found.extend(marks_outside(&places, &config));
+    }
     if let Err(cause) = config.check_io() {
         found.push(error(
             io_line(&places, &cause),
@@ -151,6 +156,53 @@ fn errors(text: &str) -> (Option<Config>, Vec<Finding>) {
         ));
     }
     (Some(config), found)
+}
+
+/// Axes whose place at the switch is outside their range, or whose mark is farther outside than half a motor turn.
+fn marks_outside(places: &Places<'_>, config: &Config) -> Vec<Finding> {
+    let outside = |axis: AxisView| {
+        let settings = config.axes.get(axis.index)?;
+        let [low_rad, high_rad] = range_rad(config, axis.index);
+        let room_rad = match settings.home.io {
+            Some(_) => 0.0,
+            None => PI / settings.gear.abs(),
+        };
+        let away_rad = (low_rad - settings.sync_angle_rad).max(settings.sync_angle_rad - high_rad);
+        if away_rad <= room_rad + 1.0e-9 {
+            return None;
+        }
+        let [sync, low, high] =
+            [settings.sync_angle_rad, low_rad, high_rad].map(|rad| round(rad * axis.motion.factor()));
+        let (key, unit) = (sync_key(axis.motion), axis.motion.unit(Quantity::Position));
+        Some(Finding {
+            gravity: Gravity::Error,
+            line: places.of_axis(axis.index, &[key]),
+            text: format!(
+                "axis {} ({}) would be at {sync} {unit} at its {}, and its range is {low} to {high} {unit}; correct {key} or \
+                 [geometry]",
+                axis.index + 1,
+                axis.name,
+                if settings.home.io.is_some() { "switch" } else { "mark" }
+            ),
+        })
+    };
+    axes(config).into_iter().filter_map(outside).collect()
+}
+
+/// Lowest and highest position of an axis, from 0, rad.
+fn range_rad(config: &Config, axis: usize) -> [f64; 2] {
+    let main = config.geometry.ranges_rad();
+    main.get(axis)
+        .copied()
+        .unwrap_or_else(|| config.geometry.turn_range_rad())
+}
+
+/// The value of an axis with its place at mark or switch.
+fn sync_key(motion: Motion) -> &'static str {
+    match motion {
+        Motion::Rotary => "sync_angle_rad",
+        Motion::Linear => "sync_mm",
+    }
 }
 
 /// The line of a value outside its bounds.
@@ -187,7 +239,8 @@ fn bounds_text(config: &Config, cause: &ConfigError) -> String {
             }
         );
     }
-    text::config_error(cause)
+    // The caller names the file.
+    text::config_error(cause).replace(" in etherpen.toml", "")
 }
 
 fn io_line(places: &Places<'_>, cause: &IoError) -> Option<usize> {
@@ -227,6 +280,7 @@ pub fn check(text: &str) -> Vec<Finding> {
         }
         checks.pen(&mut found);
         checks.axes(&mut found);
+        homing::check(&checks, &mut found);
     }
     checks.missing(&mut found);
     found.sort_by_key(|finding| finding.gravity == Gravity::Warning);

@@ -10,7 +10,7 @@
 //! Invariant: a message names the line and the value as they are written.
 
 use crate::axes::{HOME, LINEAR, Unit};
-use etherpen::config::Config;
+use etherpen::config::{Config, HomeSwitch};
 use etherpen::robots::{AXES, Kind, LINEAR_MM_PER_RAD};
 use serde::Deserialize;
 use std::f64::consts::TAU;
@@ -18,7 +18,7 @@ use toml::Spanned;
 use toml::de::{DeArray, DeTable, DeValue, Deserializer};
 
 /// Table of the values that the axes share.
-const SHARED: &str = "axis_defaults";
+pub(super) const SHARED: &str = "axis_defaults";
 /// Travel of a linear axis for one turn of its screw or pulley.
 const PITCH: &str = "pitch_mm";
 /// Lists with a value for each axis, in the axis's own unit: the name in the file and that of the controller's value.
@@ -65,30 +65,66 @@ impl From<toml::de::Error> for ReadingError {
 pub fn configuration(text: &str) -> Result<Config, ReadingError> {
     let mut table = DeTable::parse(text)?;
     let mut file = File { text };
-    let linear = kind(table.get_ref())
-        .and_then(Kind::named)
-        .map_or([false; AXES], Kind::linear_axes);
+    file.check_numbers("", table.get_ref())?;
+    let kind = file.kind(table.get_ref())?;
+    let linear = kind.map_or([false; AXES], Kind::linear_axes);
+    let unnamed = file.unnamed_kind(table.get_ref());
+    let idle = file.homes_without_switch(table.get_ref());
     file.share(table.get_mut(), &linear)?;
+    file.check_counts(table.get_ref())?;
     let converted = file.converted(table.get_ref(), &linear)?;
     // The converted values are texts of their own, which live shorter than the file's.
     let mut table: Spanned<DeTable<'_>> = table;
     apply(table.get_mut(), &converted);
     complete(table.get_mut());
-    Config::deserialize(Deserializer::from(table)).map_err(|mut cause| {
+    let config = Config::deserialize(Deserializer::from(table)).map_err(|mut cause| {
         cause.set_input(Some(text));
-        cause.into()
-    })
+        match unnamed {
+            // What fails may well be right for the kind that is meant.
+            Some(line) => {
+                let text = format!(
+                    "[geometry] has no kind, so it is read as a delta: kind is one of {}\n{cause}",
+                    kinds()
+                );
+                ReadingError::Machine { line, text }
+            }
+            None => cause.into(),
+        }
+    })?;
+    // Values of a home switch that nobody changed say nothing.
+    let is_meant = |axis: usize| {
+        config
+            .axes
+            .get(axis)
+            .is_some_and(|axis| axis.home != HomeSwitch::default())
+    };
+    match idle.into_iter().find(|(axis, _)| is_meant(*axis)) {
+        None => Ok(config),
+        Some((axis, place)) => {
+            let text = format!(
+                "axis {}: home has no switch: write switch = \"NAME\", the name of an [[io]] with role = \"home\"",
+                axis + 1
+            );
+            Err(file.error(place, text))
+        }
+    }
 }
 
-/// The kind of machine.
-fn kind<'a>(table: &'a DeTable<'_>) -> Option<&'a str> {
-    table
-        .get("geometry")?
-        .get_ref()
-        .as_table()?
-        .get("kind")?
-        .get_ref()
-        .as_str()
+/// The names of all kinds of machines.
+fn kinds() -> String {
+    Kind::ALL.map(|kind| format!("\"{}\"", kind.name())).join(", ")
+}
+
+/// The axes as they are written.
+fn written_axes<'a, 'i>(table: &'a DeTable<'i>) -> Option<&'a DeArray<'i>> {
+    table.get("axes")?.get_ref().as_array()
+}
+
+/// The drives that `[bus]` names, and where.
+fn written_drives(table: &DeTable<'_>) -> Option<(usize, usize)> {
+    let drives = table.get("bus")?.get_ref().as_table()?.get("drives")?;
+    let number = drives.get_ref().as_integer()?.as_str().parse().ok()?;
+    Some((number, drives.span().start))
 }
 
 /// The table of a value.
@@ -118,11 +154,99 @@ struct File<'a> {
 
 impl File<'_> {
     fn error(&self, place: usize, text: String) -> ReadingError {
-        let before = self.text.get(..place).unwrap_or(self.text);
         ReadingError::Machine {
-            line: before.matches('\n').count() + 1,
+            line: self.line(place),
             text,
         }
+    }
+
+    fn line(&self, place: usize) -> usize {
+        let before = self.text.get(..place).unwrap_or(self.text);
+        before.matches('\n').count() + 1
+    }
+
+    /// The kind of machine, if the file names one.
+    fn kind(&self, table: &DeTable<'_>) -> Result<Option<Kind>, ReadingError> {
+        let geometry = table.get("geometry").and_then(|geometry| geometry.get_ref().as_table());
+        let Some(written) = geometry.and_then(|geometry| geometry.get("kind")) else {
+            return Ok(None);
+        };
+        let kind = written.get_ref().as_str().and_then(Kind::named);
+        kind.map(Some).ok_or_else(|| {
+            let name = written.get_ref().as_str().unwrap_or_default();
+            let text = format!("there is no kind \"{name}\" of machine; kind is one of {}", kinds());
+            self.error(written.span().start, text)
+        })
+    }
+
+    /// The line of `[geometry]` if that names no kind.
+    fn unnamed_kind(&self, table: &DeTable<'_>) -> Option<usize> {
+        let (name, geometry) = table.get_key_value("geometry")?;
+        let has_kind = geometry.get_ref().as_table()?.contains_key("kind");
+        (!has_kind).then(|| self.line(name.span().start))
+    }
+
+    /// The axes, from 0, whose `home` names no input, with the place of `home`.
+    fn homes_without_switch(&self, table: &DeTable<'_>) -> Vec<(usize, usize)> {
+        let axes = written_axes(table).into_iter().flat_map(|axes| axes.iter()).enumerate();
+        let home = |(axis, values): (usize, &Spanned<DeValue<'_>>)| {
+            let home = values.get_ref().as_table()?.get("home")?;
+            let named = home.get_ref().as_table()?;
+            let is_idle = !["switch", "io"].iter().any(|key| named.contains_key(*key));
+            is_idle.then(|| (axis, home.span().start))
+        };
+        axes.filter_map(home).collect()
+    }
+
+    /// Refuses numbers that are not finite, by their names.
+    fn check_numbers(&self, within: &str, table: &DeTable<'_>) -> Result<(), ReadingError> {
+        for (key, value) in table {
+            self.check_number(&format!("{within}{}", key.get_ref()), value)?;
+        }
+        Ok(())
+    }
+
+    fn check_number(&self, name: &str, value: &Spanned<DeValue<'_>>) -> Result<(), ReadingError> {
+        match value.get_ref() {
+            DeValue::Float(float) if ["nan", "inf"].iter().any(|word| float.as_str().contains(word)) => {
+                let text = format!("{name} is {}; write a finite number", float.as_str());
+                Err(self.error(value.span().start, text))
+            }
+            DeValue::Array(values) => values.iter().try_for_each(|value| self.check_number(name, value)),
+            DeValue::Table(values) => self.check_numbers(&format!("{name}."), values),
+            _ => Ok(()),
+        }
+    }
+
+    /// Refuses more drives than axes, and lists with a value for each axis that have another number of values.
+    fn check_counts(&self, table: &DeTable<'_>) -> Result<(), ReadingError> {
+        let Some(axes) = written_axes(table).map(|axes| axes.iter().len()) else {
+            return Ok(());
+        };
+        let drives = written_drives(table);
+        if let Some((drives, place)) = drives.filter(|(drives, _)| *drives > axes) {
+            let text = format!("bus.drives is {drives}, and there are {axes} [[axes]]; write one for each drive");
+            return Err(self.error(place, text));
+        }
+        let motion = table.get("motion").and_then(|motion| motion.get_ref().as_table());
+        let Some(motion) = motion else { return Ok(()) };
+        for [own, other] in OWN_UNITS {
+            let Some(list) = motion.get(own) else { continue };
+            if motion.contains_key(other) {
+                let text = format!("motion.{own} and motion.{other} are one limit; write one of them");
+                return Err(self.error(list.span().start, text));
+            }
+            let values = list.get_ref().as_array().map_or(axes, |values| values.iter().len());
+            let is_of_drives = drives.is_some_and(|(drives, _)| drives == values);
+            if values != axes && values <= AXES && !is_of_drives {
+                let text = format!(
+                    "motion.{own} has a value for each axis: {axes} are needed, and there are {values}; write one for each \
+                     of [[axes]]"
+                );
+                return Err(self.error(list.span().start, text));
+            }
+        }
+        Ok(())
     }
 
     /// Gives each axis the shared values that it does not set itself, and that suit it: those in radians are not for linear
@@ -142,16 +266,26 @@ impl File<'_> {
             Spanned::new(place..place, DeValue::Array(axes))
         });
         let is_mixed = linear.contains(&true);
-        for (number, axis) in tables_mut(axes).enumerate() {
+        let suits = |number: usize, key: &str| {
             let is_linear = linear.get(number).copied().unwrap_or(false);
-            let suits = |key: &str| {
-                let of_other = |Unit(mm, rad, _): &Unit| key == if is_linear { *rad } else { *mm };
-                let is_foreign = LINEAR.iter().any(of_other) || key == PITCH && !is_linear;
-                !(is_mixed && is_foreign)
-            };
-            for (key, value) in shared.iter().filter(|(key, _)| suits(key.get_ref())) {
+            let of_other = |Unit(mm, rad, _): &Unit| key == if is_linear { *rad } else { *mm };
+            let is_foreign = LINEAR.iter().any(of_other) || key == PITCH && !is_linear;
+            !(is_mixed && is_foreign)
+        };
+        let mut count = 0;
+        for (number, axis) in tables_mut(axes).enumerate() {
+            count += 1;
+            for (key, value) in shared.iter().filter(|(key, _)| suits(number, key.get_ref())) {
                 axis.entry(key.clone()).or_insert_with(|| value.clone());
             }
+        }
+        let is_unused = |key: &str| count > 0 && !(0..count).any(|number| suits(number, key));
+        if let Some((key, _)) = shared.iter().find(|(key, _)| is_unused(key.get_ref())) {
+            let name = key.get_ref();
+            let in_mm = LINEAR.iter().find(|Unit(_, rad, _)| *rad == &**name);
+            let remedy = in_mm.map_or("delete it".to_owned(), |Unit(mm, ..)| format!("write {mm} instead"));
+            let text = format!("no axis of this machine takes {SHARED}.{name}; {remedy}");
+            return Err(self.error(key.span().start, text));
         }
         Ok(())
     }
@@ -243,9 +377,24 @@ impl File<'_> {
                 converted.push(Converted { place, from, to, text });
             }
         }
-        let Some(switch) = home.get("switch") else {
+        let Some((key, switch)) = home.get_key_value("switch") else {
             return Ok(());
         };
+        if home.contains_key("io") {
+            let text = format!(
+                "axis {}: switch and io are the same input; write switch alone",
+                number + 1
+            );
+            return Err(self.error(key.span().start, text));
+        }
+        let speed = if is_linear { "speed_mm_s" } else { "speed_rad_s" };
+        if !home.contains_key(speed) {
+            let text = format!(
+                "axis {}: {speed} of home is missing: the speed towards the switch, whose sign is the direction",
+                number + 1
+            );
+            return Err(self.error(key.span().start, text));
+        }
         let points = table.get("io").and_then(|io| io.get_ref().as_array());
         let name_of = |point: &Spanned<DeValue<'_>>| {
             point
@@ -430,6 +579,77 @@ mod tests {
             error("axes = [{}, {},\n {}, {}, {}]"),
             "line 2: a machine has at most 4 axes"
         );
+    }
+
+    /// The error of the bundled gantry with a replaced part.
+    fn gantry(from: &str, to: &str) -> String {
+        let sample = include_str!("../../../samples/machines/gantry.toml");
+        assert!(sample.contains(from), "{from}");
+        error(&sample.replacen(from, to, 1))
+    }
+
+    #[test]
+    fn what_no_axis_takes_and_what_is_written_twice_is_refused() {
+        let radians = gantry("quick_stop_mm_s2 = 10000.0", "quick_stop_rad_s2 = 100.0");
+        assert!(
+            radians.contains("axis_defaults.quick_stop_rad_s2") && radians.contains("write quick_stop_mm_s2"),
+            "{radians}"
+        );
+        let two = gantry(
+            "joint_speed = [1000.0, 1000.0, 300.0]",
+            "joint_speed = [1000.0, 1000.0]",
+        );
+        assert!(two.contains("3 are needed, and there are 2"), "{two}");
+        let drives = gantry("[bus]\n", "[bus]\ndrives = 4\n");
+        assert!(drives.contains("bus.drives is 4, and there are 3"), "{drives}");
+        let twice =
+            error("axes = [{}, {}, {}, {}]\n[motion]\njoint_speed = [1, 1, 1, 1]\njoint_speed_rad_s = [1, 1, 1, 1]\n");
+        assert!(
+            twice.starts_with("line 3: ") && twice.contains("write one of them"),
+            "{twice}"
+        );
+    }
+
+    #[test]
+    fn a_home_without_switch_or_speed_is_refused() {
+        let no_switch = gantry("switch = \"x_home\", ", "");
+        assert!(no_switch.contains("axis 1: home has no switch"), "{no_switch}");
+        let no_speed = gantry("speed_mm_s = -60.0, ", "");
+        assert!(no_speed.contains("speed_mm_s of home is missing"), "{no_speed}");
+        let both = gantry("switch = \"x_home\"", "switch = \"x_home\", io = 0");
+        assert!(both.contains("switch and io"), "{both}");
+        // The program itself writes the values of a machine without switches.
+        let written = toml::to_string(&Config::default()).unwrap();
+        assert!(written.contains("home"), "{written}");
+        assert_eq!(configuration(&written), Ok(Config::default()));
+    }
+
+    #[test]
+    fn a_kind_that_does_not_exist_or_is_missing_is_told_first_with_all_kinds() {
+        let misspelt = gantry("kind = \"gantry\"", "kind = \"gantri\"");
+        assert!(
+            misspelt.contains("gantri") && misspelt.contains("\"linear-delta\""),
+            "{misspelt}"
+        );
+        let missing = gantry("kind = \"gantry\"\n", "");
+        assert!(
+            missing.contains("no kind") && missing.contains("\"corexy\"") && missing.contains("x_range_mm"),
+            "{missing}"
+        );
+        assert!(
+            configuration("[geometry]\nforearm_mm = 810.0\n").is_ok(),
+            "a delta needs none"
+        );
+    }
+
+    #[test]
+    fn numbers_that_are_not_finite_are_refused_by_name() {
+        let text = gantry("speed_mm_s = 250.0", "speed_mm_s = nan");
+        assert!(text.contains("motion.speed_mm_s is nan"), "{text}");
+        let text = gantry("sync_mm = 2.0", "sync_mm = -inf");
+        assert!(text.contains("axes.sync_mm is -inf"), "{text}");
+        let text = gantry("centre_mm = [320.0, 240.0]", "centre_mm = [320.0, nan]");
+        assert!(text.contains("paper.centre_mm is nan"), "{text}");
     }
 
     #[test]

@@ -11,6 +11,9 @@ use crate::axes::{Motion, motions};
 use etherpen::robots::Kind;
 use toml_edit::{Array, DocumentMut, Item, TableLike, Value};
 
+/// Links of a SCARA, its first axes.
+const LINKS: usize = 2;
+
 /// Sizes of a machine that can be told.
 pub const SIZES: [Size; 7] = [
     Size::new(
@@ -220,6 +223,7 @@ fn resize(document: &mut DocumentMut, kind: Kind, sizes_mm: [f64; SIZES.len()]) 
             sheet(document, centre, side);
             if kind == Kind::Gantry {
                 heights(document, height, 5.0);
+                set_travels(document, [width, depth, height]);
             }
         }
         Kind::Scara => {
@@ -265,12 +269,21 @@ fn heights(document: &mut DocumentMut, height_mm: f64, above_mm: f64) {
     set(document.get_mut("paper"), "pen_down_z_mm", rounded(0.5 * low));
 }
 
+/// Writes the longest way to the home switch of each axis, from the axes' lengths.
+fn set_travels(document: &mut DocumentMut, lengths_mm: [f64; 3]) {
+    let axes = document.get_mut("axes").and_then(Item::as_array_of_tables_mut);
+    let axes = axes.into_iter().flat_map(|axes| axes.iter_mut());
+    for (axis, length_mm) in axes.zip(lengths_mm) {
+        set(axis.get_mut("home"), "travel_max_mm", rounded(1.1 * length_mm));
+    }
+}
+
 fn sheet(document: &mut DocumentMut, centre_mm: [f64; 2], side_mm: f64) {
     set(document.get_mut("paper"), "centre_mm", range(centre_mm));
     set(document.get_mut("paper"), "size_mm", range([side_mm, side_mm]));
 }
 
-/// Writes pitch and gear, and as many axes as there are drives.
+/// Writes pitch and gear, and as many axes as there are drives. The gear of a SCARA is that of its two links.
 fn set_axes(document: &mut DocumentMut, kind: Kind, wishes: &Wishes) -> Result<(), String> {
     let has_linear = motions(kind).contains(&Motion::Linear);
     if wishes.pitch_mm.is_some() && !has_linear {
@@ -298,14 +311,26 @@ fn set_axes(document: &mut DocumentMut, kind: Kind, wishes: &Wishes) -> Result<(
             axes.remove(axes.len() - 1);
         }
     }
+    let drives = axes.len();
+    let shared = tables.len();
     tables.extend(axes.iter_mut().map(|axis| axis as &mut dyn TableLike));
-    for table in tables {
-        for (key, value) in [("pitch_mm", wishes.pitch_mm), ("gear", wishes.gear)] {
+    for (number, table) in tables.into_iter().enumerate() {
+        let is_link = kind != Kind::Scara || number < shared + LINKS;
+        let gear = wishes.gear.filter(|_| is_link);
+        for (key, value) in [("pitch_mm", wishes.pitch_mm), ("gear", gear)] {
             let place = table.get_mut(key).and_then(Item::as_value_mut);
             if let (Some(place), Some(value)) = (place, value) {
                 let mut value = Value::from(value);
                 *value.decor_mut() = place.decor().clone();
                 *place = value;
+            }
+        }
+    }
+    for list in ["joint_speed", "joint_acceleration"] {
+        let list = document.get_mut("motion").and_then(|motion| motion.get_mut(list));
+        if let Some(values) = list.and_then(Item::as_array_mut) {
+            while values.len() > drives {
+                values.remove(values.len() - 1);
             }
         }
     }
@@ -375,6 +400,13 @@ mod tests {
             let text = compose(kind, &wishes).unwrap_or_else(|error| panic!("{wishes:?}: {error}"));
             assert_eq!(check(&text), [], "{text}");
             assert!(text.contains("# "), "comments");
+            if kind == Kind::Gantry {
+                let ranges = configuration(&text).unwrap().geometry.ranges_rad();
+                let axes = configuration(&text).unwrap().axes;
+                for (axis, [low, high]) in axes.iter().zip(ranges) {
+                    assert!(axis.home.travel_max_rad > high - low, "{text}");
+                }
+            }
             if let (Geometry::Gantry(of), Some(width)) = (configuration(&text).unwrap().geometry, wishes.sizes_mm[0]) {
                 assert_eq!(of.x_range_mm, [0.0, width]);
             }
@@ -404,6 +436,18 @@ mod tests {
         )
         .unwrap();
         assert_eq!(configuration(&scara).unwrap().bus.drives, 3);
+        let geared = compose(
+            Kind::Scara,
+            &Wishes {
+                gear: Some(80.0),
+                ..Wishes::default()
+            },
+        )
+        .unwrap();
+        let [shoulder, elbow, height, tool] = configuration(&geared).unwrap().axes.map(|axis| axis.gear);
+        let [.., height_before, tool_before] = MACHINES[3].load().unwrap().axes.map(|axis| axis.gear);
+        assert_eq!((shoulder, elbow), (80.0, 80.0));
+        assert_eq!((height, tool), (height_before, tool_before));
         let belts = compose(Kind::CoreXy, &Wishes { drives: None, ..wishes }).unwrap();
         assert!(belts.contains("gear = 3.0"), "{belts}");
     }

@@ -304,3 +304,35 @@ fn text_is_drawn_with_the_pens_own_letters() {
         "{stderr}"
     );
 }
+
+#[test]
+fn a_crop_and_a_focus_outside_the_photograph_are_refused_with_its_size() {
+    let folder = Folder::new();
+    let photo = host_tools::setup::workspace().join("samples/camera.png");
+    let vectorize = |words: &[&str]| run(etherpen(&folder).arg("vectorize").arg(&photo).args(words));
+    for (option, value) in [
+        ("--crop", "600,600,100,100"),
+        ("--crop", "100,100,9,200"),
+        ("--focus", "900,100,50"),
+        ("--focus", "256,200,1e9"),
+        ("--focus", "256,200,1e300"),
+    ] {
+        let (status, _, stderr) = vectorize(&["-o", "out.svg", option, value]);
+        assert_eq!(status, Some(i32::from(code::INPUT)), "{option} {value}: {stderr}");
+        assert!(
+            stderr.contains(option) && stderr.contains("512 x 512"),
+            "{option} {value}: {stderr}"
+        );
+    }
+    for (words, why) in [
+        (["-o", "a.png", "--contact-sheet", "a.png"], "name two files"),
+        (["-o", "a.svg", "--contact-sheet", "a.jpg"], ".png"),
+    ] {
+        let (status, _, stderr) = vectorize(&words);
+        assert_eq!(status, Some(i32::from(code::USAGE)), "{words:?}: {stderr}");
+        assert!(stderr.contains(why), "{words:?}: {stderr}");
+    }
+    // As large as the picture, and no more.
+    let (status, _, stderr) = vectorize(&["-o", "out.svg", "--focus", "256,200,700", "--max-strokes", "50"]);
+    assert_eq!(status, Some(0), "{stderr}");
+}

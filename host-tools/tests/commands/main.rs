@@ -20,6 +20,8 @@ mod followed;
 mod installed;
 mod io;
 mod kickcat;
+#[cfg(target_os = "linux")]
+mod machines;
 mod network;
 mod other_masters;
 mod outputs;

@@ -47,6 +47,8 @@ struct Answer<'a> {
     referenced: bool,
     override_percent: Option<u8>,
     config: Option<String>,
+    /// Why positions are not shown, if the machine works with another configuration.
+    remark: Option<&'static str>,
     #[serde(flatten)]
     joints: PerAxis,
     position_mm: Option<[f64; 3]>,
@@ -62,6 +64,10 @@ struct Answer<'a> {
     interrupted: bool,
     owner: Option<&'a Owner>,
 }
+
+/// Remark about a machine with another configuration.
+const OTHER_CONFIGURATION: &str =
+    "the machine works with another configuration, so its positions are not shown: name its file (--config)";
 
 /// Runs the command.
 ///
@@ -83,8 +89,11 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), ProgramError> {
 fn answer<'a>(config: &Config, snapshot: &'a Snapshot, owner: Option<&'a Owner>) -> Answer<'a> {
     let status = snapshot.status.as_ref();
     let referenced = status.is_some_and(|status| status.referenced);
+    // Another configuration may be that of another machine.
+    let in_force = status.and_then(|status| status.config);
+    let is_other = in_force.is_some() && in_force != config.hash();
     // Without a reference the angles are known only within a motor turn.
-    let sample = snapshot.sample.as_ref().filter(|_| referenced);
+    let sample = snapshot.sample.as_ref().filter(|_| referenced && !is_other);
     let joints = sample.map(|sample: &Sample| sample.measured_rad.map(f64::from));
     let position = joints.and_then(|joints| {
         Kinematics::new(&config.geometry)
@@ -103,12 +112,11 @@ fn answer<'a>(config: &Config, snapshot: &'a Snapshot, owner: Option<&'a Owner>)
         fault: status.and_then(text::fault_of),
         referenced,
         override_percent: status.map(|status| status.override_percent),
-        config: status
-            .and_then(|status| status.config)
-            .map(crate::job::history::hash_text),
+        config: in_force.map(crate::job::history::hash_text),
+        remark: is_other.then_some(OTHER_CONFIGURATION),
         joints: PerAxis::new("joints", axes(config), joints.as_ref()),
         position_mm: position.map(Into::into),
-        pen: sample.map(|sample| sample.pen),
+        pen: snapshot.sample.filter(|_| referenced).map(|sample| sample.pen),
         increments: status.map(|status| status.increments.into_iter().take(config.bus.drives.into()).collect()),
         counters: status.map(|status| status.counters),
         drives: status.map(drives).unwrap_or_default(),
@@ -152,6 +160,9 @@ fn print(answer: &Answer, snapshot: &Snapshot) {
     println!("referenced: {}", if answer.referenced { "yes" } else { "no" });
     if let Some(percent) = answer.override_percent {
         println!("speed override: {percent} %");
+    }
+    if let Some(remark) = answer.remark {
+        println!("{remark}");
     }
     if answer.joints.iter().next().is_some() {
         println!("joints: {}", answer.joints.text());

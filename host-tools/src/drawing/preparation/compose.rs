@@ -147,7 +147,7 @@ pub(crate) fn from_photograph(
     let source = options;
     let options = source.vectorize_options(config);
     check_size(picture.width(), picture.height())?;
-    let (picture, subject, remarks) = part_of(picture, source.crop(), &options);
+    let (picture, subject, remarks) = part_of(picture, source.crop(), &options)?;
     let place_mm = options.picture_mm(picture.width(), picture.height())?;
     let timed = match source.time_budget_s() {
         None => None,
@@ -169,10 +169,17 @@ pub(crate) fn from_photograph(
 }
 
 /// The part of a photograph that is drawn, its subject, and remarks for the person who asked for it.
-fn part_of(picture: RgbImage, crop: Crop, options: &VectorizeOptions) -> (RgbImage, Subject, Vec<String>) {
+fn part_of(
+    picture: RgbImage,
+    crop: Crop,
+    options: &VectorizeOptions,
+) -> Result<(RgbImage, Subject, Vec<String>), DrawingError> {
+    let size_px @ [width, height] = [picture.width(), picture.height()];
+    if options.focus.is_some_and(|focus| !is_in(focus, size_px.map(f64::from))) {
+        return Err(DrawingError::BadFocus { width, height });
+    }
     let subject = Subject::of(&picture, options.focus);
     let room_mm = options.room_mm();
-    let size_px = [picture.width(), picture.height()];
     let mut remarks = Vec::new();
     let (part, subject) = match subject.window(size_px, crop, room_mm, options.pen_width_mm) {
         Some(window) if window[2].min(window[3]) >= SIDE_MIN => {
@@ -185,6 +192,13 @@ fn part_of(picture: RgbImage, crop: Crop, options: &VectorizeOptions) -> (RgbIma
             }
             subject.cut(&picture, window)
         }
+        Some(_) if matches!(crop, Crop::Window(_)) => {
+            return Err(DrawingError::BadCrop {
+                width,
+                height,
+                side_min: SIDE_MIN,
+            });
+        }
         _ => (picture, subject),
     };
     let face_pens = subject.face_pens([part.width(), part.height()], room_mm, options.pen_width_mm);
@@ -194,7 +208,12 @@ fn part_of(picture: RgbImage, crop: Crop, options: &VectorizeOptions) -> (RgbIma
              --size or a finer pen"
         ));
     }
-    (part, subject, remarks)
+    Ok((part, subject, remarks))
+}
+
+/// Whether a face of this centre and radius, pixels, can be in a picture of this size.
+fn is_in([x, y, radius]: [f64; 3], [width, height]: [f64; 2]) -> bool {
+    (0.0..=width).contains(&x) && (0.0..=height).contains(&y) && radius <= width.hypot(height)
 }
 
 /// Strokes on a sheet as artwork whose page is that sheet.

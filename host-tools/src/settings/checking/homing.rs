@@ -1,0 +1,197 @@
+//! What is unlikely about home switches.
+
+use super::{Checks, Finding, Gravity, range_rad, round};
+use crate::axes::{AxisView, Motion, Quantity, axes};
+use crate::link::text;
+use etherpen::config::HomeSwitch;
+use etherpen::motion::WorkArea;
+use etherpen::robots::{JointAngles, Kinematics, MAIN_AXES};
+
+/// Place of the height among the axes, where it moves nothing else.
+const HEIGHT: usize = 2;
+/// Usual longest way to a switch, of the range.
+const TRAVEL_SHARE: f64 = 1.1;
+
+/// Adds warnings about the axes that have a home switch.
+pub(super) fn check(checks: &Checks<'_>, found: &mut Vec<Finding>) {
+    for axis in axes(checks.config) {
+        let home = checks.config.axes.get(axis.index).map(|settings| settings.home);
+        if let Some(home) = home.filter(|home| home.io.is_some()) {
+            let texts = [
+                travel(checks, &axis, &home),
+                direction(checks, &axis, &home),
+                height(checks, &axis, &home),
+            ];
+            found.extend(texts.into_iter().flatten().map(|text| Finding {
+                gravity: Gravity::Warning,
+                line: checks.places.of_axis(axis.index, &["home"]),
+                text,
+            }));
+        }
+    }
+    found.extend(outside_after(checks));
+}
+
+/// A value of `home` in the unit of its axis: its name, and its unit.
+fn key(axis: &AxisView, name: &str, quantity: Quantity) -> String {
+    format!("{name}_{}", axis.motion.suffix(quantity))
+}
+
+fn travel(checks: &Checks<'_>, axis: &AxisView, home: &HomeSwitch) -> Option<String> {
+    let [low_rad, high_rad] = range_rad(checks.config, axis.index);
+    let length_rad = high_rad - low_rad;
+    let shown = |rad: f64| round(rad * axis.motion.factor());
+    (home.travel_max_rad < length_rad).then(|| {
+        let (key, unit) = (
+            key(axis, "travel_max", Quantity::Position),
+            axis.motion.unit(Quantity::Position),
+        );
+        format!(
+            "axis {} ({}) seeks its switch for {} {unit} only, and its range is {} {unit} long: from the far end it does not get \
+             there; make {key} {}",
+            axis.index + 1,
+            axis.name,
+            shown(home.travel_max_rad),
+            shown(length_rad),
+            shown(TRAVEL_SHARE * length_rad)
+        )
+    })
+}
+
+fn direction(checks: &Checks<'_>, axis: &AxisView, home: &HomeSwitch) -> Option<String> {
+    let [low_rad, high_rad] = range_rad(checks.config, axis.index);
+    let sync_rad = checks.config.axes.get(axis.index)?.sync_angle_rad;
+    let is_upper = sync_rad > 0.5 * (low_rad + high_rad);
+    (is_upper != (home.speed_rad_s > 0.0)).then(|| {
+        format!(
+            "axis {} ({}) seeks its switch towards {} values, and has it at the {} end of its range; turn the sign of {}, or \
+             correct {}",
+            axis.index + 1,
+            axis.name,
+            if is_upper { "smaller" } else { "greater" },
+            if is_upper { "upper" } else { "lower" },
+            key(axis, "speed", Quantity::Speed),
+            super::sync_key(axis.motion)
+        )
+    })
+}
+
+/// The pen has to be off the sheet before anything moves across it.
+fn height(checks: &Checks<'_>, axis: &AxisView, home: &HomeSwitch) -> Option<String> {
+    if axis.index != HEIGHT || !checks.config.geometry.kind().has_height_axis() {
+        return None;
+    }
+    let number = axis.index + 1;
+    if home.speed_rad_s < 0.0 {
+        return Some(format!(
+            "axis {number} ({}) seeks its switch downwards, where the sheet is; put the switch at the upper end",
+            axis.name
+        ));
+    }
+    let others = checks.config.axes.iter().take(HEIGHT).map(|other| other.home);
+    let is_late = others
+        .filter(|other| other.io.is_some())
+        .any(|other| other.order <= home.order);
+    is_late.then(|| {
+        format!(
+            "axis {number} ({}) is not homed before the others, which move with the pen on the sheet; give it the lowest order",
+            axis.name
+        )
+    })
+}
+
+/// Where the machine is after homing, if that is outside its work area.
+fn outside_after(checks: &Checks<'_>) -> Option<Finding> {
+    let config = checks.config;
+    let mut pose = JointAngles(config.axes.each_ref().map(|axis| axis.sync_angle_rad));
+    let driven = usize::from(config.bus.drives).min(MAIN_AXES);
+    for (angle_rad, axis) in pose.0.iter_mut().zip(&config.axes).take(driven) {
+        axis.home.io?;
+        *angle_rad -= axis.home.pull_off_rad.copysign(axis.home.speed_rad_s);
+    }
+    let position = Kinematics::new(&config.geometry).ok()?.forward(&pose).ok()?;
+    let why = WorkArea::new(&config.motion_settings()).ok()?.check(&position).err()?;
+    let key = match axes(config).first()?.motion {
+        Motion::Linear => "pull_off_mm",
+        Motion::Rotary => "pull_off_rad",
+    };
+    Some(Finding {
+        gravity: Gravity::Warning,
+        line: checks.places.of("work_area", &["x_mm", "y_mm"]),
+        text: format!(
+            "after homing the machine is at x {:.1}, y {:.1}, z {:.1} mm, outside its work area: {}; make {key} of home \
+             greater, or [work_area] larger",
+            position.x_mm,
+            position.y_mm,
+            position.z_mm,
+            text::outside(&why)
+        ),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::check;
+    use super::*;
+
+    const GANTRY: &str = include_str!("../../../../samples/machines/gantry.toml");
+
+    /// The only finding about the gantry with a replaced part.
+    fn finding(from: &str, to: &str) -> Finding {
+        assert!(GANTRY.contains(from), "{from}");
+        let findings = check(&GANTRY.replacen(from, to, 1));
+        let [finding] = &findings[..] else {
+            panic!("{findings:#?}")
+        };
+        finding.clone()
+    }
+
+    #[test]
+    fn searches_that_end_too_early_or_lead_away_are_warnings() {
+        let short = finding("travel_max_mm = 700.0", "travel_max_mm = 400.0");
+        assert_eq!(short.gravity, Gravity::Warning);
+        assert!(
+            short.text.contains("400 mm only") && short.text.contains("travel_max_mm 704"),
+            "{short}"
+        );
+        // The axis would leave the switch the other way too, and be outside its range.
+        let away = check(&GANTRY.replacen("speed_mm_s = -60.0", "speed_mm_s = 60.0", 1));
+        assert!(
+            away.iter().any(|found| found.text.contains("towards greater values")
+                && found.text.contains("lower end")
+                && found.gravity == Gravity::Warning),
+            "{away:#?}"
+        );
+    }
+
+    #[test]
+    fn a_height_that_is_homed_downwards_or_late_is_a_warning() {
+        let late = finding("order = 1", "order = 2");
+        assert!(late.text.contains("lowest order"), "{late}");
+        let down = check(&GANTRY.replacen("sync_mm = 3.0", "sync_mm = -58.0", 1).replacen(
+            "speed_mm_s = 20.0",
+            "speed_mm_s = -20.0",
+            1,
+        ));
+        assert!(down.iter().any(|found| found.text.contains("downwards")), "{down:#?}");
+    }
+
+    #[test]
+    fn a_machine_that_is_outside_its_work_area_after_homing_is_told() {
+        let outside = finding("pull_off_mm = 10.0", "pull_off_mm = 4.0");
+        assert!(
+            outside.text.contains("x 6.0") && outside.text.contains("pull_off_mm"),
+            "{outside}"
+        );
+    }
+
+    #[test]
+    fn a_switch_outside_the_range_is_an_error() {
+        let outside = finding("sync_mm = 2.0", "sync_mm = -2.0");
+        assert_eq!(outside.gravity, Gravity::Error);
+        assert!(
+            outside.text.contains("-2 mm at its switch") && outside.text.contains("0 to 640 mm"),
+            "{outside}"
+        );
+    }
+}
