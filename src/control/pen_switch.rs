@@ -1,7 +1,8 @@
 //! When the output of a pen is on.
 //!
-//! The output follows the height of the setpoints: it is switched on when the path begins to go down from where the pen is
-//! up, and off when it begins to go up. Above that height it is off, and where no setpoint is followed.
+//! The output follows the height of the setpoints: it is switched on when the path goes down below the corner between travel
+//! and lowering, and off when it begins to go up. From that corner on, which the travel tolerance rounds, lowering takes the
+//! time of the pen; above it the tool may still be beside its line. Where no setpoint is followed the output is off.
 
 use crate::config::{Config, PenLiftKind};
 use crate::motion::{Pen, Setpoint};
@@ -18,6 +19,8 @@ const STILL_RAD: f64 = 1.0e-6;
 pub struct PenSwitch {
     /// Joint of the height with the pen up, rad.
     pub up_rad: f64,
+    /// Height below which a path that goes down lowers the pen, rad.
+    lowers_rad: f64,
     /// Half way between up and down, rad.
     half_rad: f64,
     /// Whether an output lowers the pen.
@@ -31,6 +34,7 @@ impl PenSwitch {
         let joint = |z_mm: f64| z_mm / LINEAR_MM_PER_RAD;
         Self {
             up_rad: joint(paper.pen_down_z_mm + paper.pen_lift_mm),
+            lowers_rad: joint(paper.pen_down_z_mm + config.pen.lift_mm(&config.motion, paper)),
             half_rad: joint(paper.pen_down_z_mm + 0.5 * paper.pen_lift_mm),
             has_output: config.pen.kind == PenLiftKind::Output,
         }
@@ -39,7 +43,7 @@ impl PenSwitch {
     /// Whether the output is on at a setpoint that is followed.
     pub(super) fn is_on(&self, setpoint: &Setpoint) -> bool {
         let (height_rad, climb_rad_s) = (setpoint.position_rad[HEIGHT], setpoint.velocity_rad_s[HEIGHT]);
-        let lowers = climb_rad_s <= -STILL_RAD_S && height_rad < self.up_rad + STILL_RAD;
+        let lowers = climb_rad_s <= -STILL_RAD_S && height_rad <= self.lowers_rad;
         let stands_low = climb_rad_s.abs() < STILL_RAD_S && height_rad < self.half_rad;
         self.has_output && (setpoint.pen == Pen::Down || lowers || stands_low)
     }
@@ -64,6 +68,8 @@ mod tests {
             config.paper.pen_down_z_mm + config.paper.pen_lift_mm,
             config.paper.pen_lift_mm,
         );
+        // Below it the travel tolerance is used up.
+        let corner_mm = up_mm - config.motion.travel_tolerance_mm - 1e-6;
         let is_on = |z_mm: f64, climb_mm_s: f64, pen: Pen| {
             let mut setpoint = Setpoint {
                 pen,
@@ -75,7 +81,8 @@ mod tests {
         };
         for (z_mm, climb_mm_s, pen, expected) in [
             (up_mm, 0.0, Pen::Up, false),
-            (up_mm, -1.0, Pen::Up, true),
+            (up_mm, -1.0, Pen::Up, false),
+            (corner_mm, -1.0, Pen::Up, true),
             (up_mm - 0.9 * lift_mm, 0.0, Pen::Up, true),
             (up_mm - lift_mm, 0.0, Pen::Down, true),
             (up_mm - lift_mm, 1.0, Pen::Up, false),

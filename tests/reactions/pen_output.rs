@@ -6,6 +6,7 @@ use etherpen::application::{Fault, Mode};
 use etherpen::config::{Config, IoDirection, IoPoint, IoRole, PenLift, PenLiftKind};
 use etherpen::messages::{Command, PathVertex};
 use etherpen::motion::Pen;
+use etherpen::robots::Position;
 use host_tools::cell::{CellOptions, Fault as CellFault};
 use host_tools::settings::machines::MACHINES;
 
@@ -195,4 +196,68 @@ pub(crate) fn a_terminal_that_fails_while_its_pen_draws_is_a_fault_and_a_held_dr
         robot.ack.finished && robot.mode() == Mode::Idle
     });
     assert_eq!(robot.fault(), None);
+}
+
+#[test]
+fn a_way_down_that_ends_above_the_paper_is_travel_and_leaves_no_ink() {
+    let mut robot = Robot::idle_with(&corexy());
+    let mut go = |x_mm: f64, z_mm: f64| {
+        let (y_mm, before) = (-40.0, robot.cell().joints.0[0]);
+        let position = Position { x_mm, y_mm, z_mm };
+        robot.command(Command::Move { position }).unwrap();
+        robot.run_until("it moves", |robot| robot.speed_rad_s() > 0.1);
+        while robot.mode() != Mode::Idle || robot.speed_rad_s() > 1e-3 {
+            robot.run(1);
+            assert!(
+                robot.outputs(TERMINAL) == 0 && !robot.cell().pen_touches,
+                "to {x_mm}, {z_mm} mm"
+            );
+        }
+        assert!((robot.cell().joints.0[0] - before).abs() > 0.1, "it has moved");
+    };
+    // Up, down to the height of a lifted pen, up again, and half of the way down.
+    for (x_mm, z_mm) in [(-60.0, 3.5), (60.0, 0.0), (-60.0, 3.0), (60.0, 1.0)] {
+        go(x_mm, z_mm);
+    }
+    assert_eq!(robot.ink().len(), 0);
+    robot.draw(path());
+    robot.run_until("the path is executed", |robot| {
+        robot.ack.finished && robot.mode() == Mode::Idle
+    });
+    assert_eq!(
+        (robot.fault(), robot.ink().len()),
+        (None, 2),
+        "a drawing lowers the pen"
+    );
+}
+
+#[test]
+fn a_tool_that_nothing_lifts_touches_always_and_draws_its_travel_too() {
+    for speed_mm_s in [20.0, 200.0] {
+        let mut config = corexy();
+        config.pen.kind = PenLiftKind::None;
+        config.io.retain(|point| point.role != IoRole::Pen);
+        config.motion.speed_mm_s = speed_mm_s;
+        let mut robot = Robot::idle_with(&config);
+        assert!(robot.cell().pen_touches, "at rest too");
+        let begun_ms = robot.now_ms();
+        robot.draw(path());
+        robot.run_until("the path is executed", |robot| {
+            robot.ack.finished && robot.mode() == Mode::Idle
+        });
+        let drawn_ms = robot.now_ms() - begun_ms;
+        assert_eq!(robot.fault(), None);
+        let ink = robot.ink();
+        assert_eq!(ink.len(), 1, "one line without an end");
+        // Each vertex has ink, also those that are reached with the pen up. The sheet's y points down.
+        for vertex in path() {
+            let [x_um, y_um, _] = vertex.position_um.map(f64::from);
+            let on_sheet = [x_um / 1e3 + 100.0, 100.0 - y_um / 1e3];
+            let away_mm = ink[0].distance_mm(&on_sheet);
+            assert!(away_mm < 0.3, "{on_sheet:?}: {away_mm} mm");
+        }
+        // 16 legs of 60 mm.
+        println!("{speed_mm_s} mm/s: {drawn_ms} ms");
+        assert!((drawn_ms as f64) > 950.0 * 1e3 / speed_mm_s, "{drawn_ms} ms");
+    }
 }

@@ -232,7 +232,7 @@ fn joints(config: &Config, positions: &[f64]) -> Result<JointAngles, ProgramErro
 fn take(arguments: &Arguments, config: &Config, wanted: Wanted) -> Result<Referenced, ProgramError> {
     let physics = arguments.cell.load_if(arguments.simulate)?;
     let at_marks = wanted.pose == Pose::Marks && wanted.position.is_none() && !wanted.calibrate;
-    if at_marks && !home::switched(config).is_empty() {
+    if at_marks && config.has_home_switches() {
         return match arguments.port.find_unless(arguments.simulate.then_some("--simulate"))? {
             Some(name) => home::at_port(config, &name),
             None => home::simulated(

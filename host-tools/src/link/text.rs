@@ -295,6 +295,11 @@ pub fn io_error(error: &IoError) -> String {
                                       height; write kind = \"axis\" in [pen]"
                 .into()
         }
+        IoError::LimitAxis { io, axes } => format!(
+            "io {}: the role limit needs axis = 0 to {}, the axis of the limit switch, and no other role has an axis",
+            one(io),
+            axes.saturating_sub(1)
+        ),
         IoError::Place { io } => format!("io {}: give either bit or object", one(io)),
         IoError::Bit { io, expected, actual } => {
             format!(
