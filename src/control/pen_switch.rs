@@ -10,9 +10,8 @@ use crate::robots::LINEAR_MM_PER_RAD;
 
 /// The axis of the height.
 pub(super) const HEIGHT: usize = 2;
-/// Vertical speed, rad/s, and height, rad, that count as none: rounding of the setpoints.
+/// Vertical speed that counts as none, rad/s: rounding of the setpoints.
 const STILL_RAD_S: f64 = 1.0e-6;
-const STILL_RAD: f64 = 1.0e-6;
 
 /// Heights of the axis of the height, and whether an output follows them.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -39,7 +39,8 @@ again! {
         another_product_in_a_slaves_place_is_refused_until_the_right_one_is_back,
         an_extra_slave_is_reported_and_gets_no_process_data,
         a_cable_that_destroys_frames_costs_these_frames_and_is_named_by_its_ends,
-        a_slave_whose_processor_hangs_costs_the_others_nothing_and_is_usable_again;
+        a_slave_whose_processor_hangs_costs_the_others_nothing_and_is_usable_again,
+        a_drive_that_only_its_device_type_tells_is_replaced_by_one_with_another_serial_number;
     services [crate::services]
         without_a_bus_the_slaves_are_found_and_identified_and_nothing_is_configured,
         without_a_bus_an_sdo_brings_its_slave_to_preop_and_no_other,

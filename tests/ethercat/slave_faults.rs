@@ -468,7 +468,7 @@ pub(crate) fn another_product_in_a_slaves_place_is_refused_until_the_right_one_i
 }
 
 #[test]
-fn a_drive_that_only_its_device_type_tells_is_replaced_by_one_with_another_serial_number() {
+pub(crate) fn a_drive_that_only_its_device_type_tells_is_replaced_by_one_with_another_serial_number() {
     for slave in 1..=AXES {
         let mut rig = idle_rig_of(CellOptions {
             slaves: vec![SlaveKind::Cia402; AXES],

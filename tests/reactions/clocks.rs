@@ -51,7 +51,9 @@ again! {
         a_gantry_finds_its_switches_from_wherever_it_stands_and_never_touches_an_end_stop,
         an_axis_that_stands_at_its_switch_leaves_it_first,
         each_failure_of_a_switch_ends_at_standstill_with_its_cause_and_the_machine_comes_back,
-        a_search_ends_at_a_stop_a_lost_terminal_a_lost_drive_and_a_silent_host;
+        a_search_ends_at_a_stop_a_lost_terminal_a_lost_drive_and_a_silent_host,
+        a_search_that_is_ended_early_leaves_a_homed_machine_unhomed_where_it_stands,
+        a_way_that_is_too_short_ends_the_search_before_the_end_stop;
     io [crate::io]
         an_open_stop_or_door_is_a_quick_stop_at_once_at_any_speed_and_heals,
         without_power_an_open_door_keeps_it_away_and_an_open_stop_is_a_fault,
@@ -74,7 +76,10 @@ again! {
         from_outside_the_work_area_the_robot_is_jogged_in_and_nowhere_else,
         a_move_brings_the_robot_in_from_outside_the_work_area;
     pen_output [crate::pen_output]
-        a_terminal_that_fails_while_its_pen_draws_is_a_fault_and_a_held_drawing_has_its_pen_up;
+        a_terminal_that_fails_while_its_pen_draws_is_a_fault_and_a_held_drawing_has_its_pen_up,
+        the_pen_is_up_until_the_machine_is_homed_in_a_search_and_on_the_way_down_to_the_sheet,
+        a_way_down_that_ends_above_the_paper_is_travel_and_leaves_no_ink,
+        a_tool_that_nothing_lifts_touches_always_and_draws_its_travel_too;
     position [crate::position]
         enabling_and_holding_moves_no_joint_and_a_pushed_target_is_not_taken_over,
         single_lost_targets_leave_no_trace_because_the_drives_extrapolate,
@@ -82,7 +87,8 @@ again! {
         a_stop_and_a_hold_end_at_rest_with_the_targets_where_the_motors_are,
         drives_that_count_one_turn_draw_across_its_end_as_those_that_count_all_turns,
         drives_that_hold_at_the_end_of_their_turn_stay_there_whatever_is_missing,
-        a_drive_that_does_not_tell_that_it_counts_one_turn_stops_the_robot_at_its_end;
+        a_drive_that_does_not_tell_that_it_counts_one_turn_stops_the_robot_at_its_end,
+        a_drive_replaced_by_another_of_its_kind_is_homed_and_draws;
     unreferenced [crate::unreferenced]
         feedback_that_cannot_be_true_is_a_fault_without_a_reference_too;
 }

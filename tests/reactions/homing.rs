@@ -91,7 +91,7 @@ pub(crate) fn an_axis_that_stands_at_its_switch_leaves_it_first() {
 
 /// Homed, then the search begins again and is ended in the middle of its way.
 #[test]
-fn a_search_that_is_ended_early_leaves_a_homed_machine_unhomed_where_it_stands() {
+pub(crate) fn a_search_that_is_ended_early_leaves_a_homed_machine_unhomed_where_it_stands() {
     for (after_ms, stops) in [(0, false), (40, false), (900, false), (900, true)] {
         let mut robot = powered(1);
         robot.command(Command::Home).unwrap();
@@ -123,7 +123,7 @@ fn a_search_that_is_ended_early_leaves_a_homed_machine_unhomed_where_it_stands()
 }
 
 #[test]
-fn a_way_that_is_too_short_ends_the_search_before_the_end_stop() {
+pub(crate) fn a_way_that_is_too_short_ends_the_search_before_the_end_stop() {
     let mut config = gantry();
     for axis in &mut config.axes {
         axis.home.travel_max_rad = 0.05;

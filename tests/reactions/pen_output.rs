@@ -118,7 +118,7 @@ fn gantry_with_pen_output() -> Config {
 }
 
 #[test]
-fn the_pen_is_up_until_the_machine_is_homed_in_a_search_and_on_the_way_down_to_the_sheet() {
+pub(crate) fn the_pen_is_up_until_the_machine_is_homed_in_a_search_and_on_the_way_down_to_the_sheet() {
     let config = gantry_with_pen_output();
     let mut robot = Robot::of(&config, CellOptions::default());
     robot.configure(&config);
@@ -199,7 +199,7 @@ pub(crate) fn a_terminal_that_fails_while_its_pen_draws_is_a_fault_and_a_held_dr
 }
 
 #[test]
-fn a_way_down_that_ends_above_the_paper_is_travel_and_leaves_no_ink() {
+pub(crate) fn a_way_down_that_ends_above_the_paper_is_travel_and_leaves_no_ink() {
     let mut robot = Robot::idle_with(&corexy());
     let mut go = |x_mm: f64, z_mm: f64| {
         let (y_mm, before) = (-40.0, robot.cell().joints.0[0]);
@@ -232,7 +232,7 @@ fn a_way_down_that_ends_above_the_paper_is_travel_and_leaves_no_ink() {
 }
 
 #[test]
-fn a_tool_that_nothing_lifts_touches_always_and_draws_its_travel_too() {
+pub(crate) fn a_tool_that_nothing_lifts_touches_always_and_draws_its_travel_too() {
     for speed_mm_s in [20.0, 200.0] {
         let mut config = corexy();
         config.pen.kind = PenLiftKind::None;

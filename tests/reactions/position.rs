@@ -171,7 +171,7 @@ pub(crate) fn whatever_stops_the_robot_in_position_mode_the_next_drawing_comes_o
 }
 
 #[test]
-fn a_drive_replaced_by_another_of_its_kind_is_homed_and_draws() {
+pub(crate) fn a_drive_replaced_by_another_of_its_kind_is_homed_and_draws() {
     let config = config(SPEEDS_MM_S[0]);
     for slave in [1, 4] {
         let mut robot = Robot::idle_with(&config).in_a_drawing();

@@ -412,8 +412,8 @@ const POSITION_SEED: u64 = 0x0005_1710_0000;
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cell::SlaveKind;
     use crate::campaign::machine::DEFAULT_MACHINE;
+    use crate::cell::SlaveKind;
     use crate::settings::machines::MACHINES;
 
     fn machine(name: &str) -> Machine {

@@ -17,6 +17,14 @@ use etherpen::robots::JointAngles;
 /// Longest simulated time, ms.
 const SIMULATED_MAX_MS: u32 = 600_000;
 
+/// The axes that are homed by switches, numbered from 1.
+pub fn switched(config: &Config) -> Vec<String> {
+    let used = (1..).zip(config.axes.iter().take(config.bus.drives.into()));
+    used.filter(|(_, axis)| axis.home.io.is_some())
+        .map(|(number, _): (usize, _)| number.to_string())
+        .collect()
+}
+
 /// A job in virtual time.
 struct Simulated(Job);
 
