@@ -3,14 +3,14 @@
 //! Time along the path passes with a rate that falls from 1 to 0. Each millisecond it falls as fast as every joint's
 //! quick-stop deceleration a allows: a joint with the velocity q' and the acceleration q'' of the ring accelerates with
 //! q'' rate^2 + q' d(rate)/dt, which stays above -a in the direction of its motion. Where that would brake the joint that
-//! is fastest for its deceleration by less than [`SHARE_MIN`] of it, that joint is braked by this share, and another joint
+//! is fastest for its deceleration by less than `SHARE_MIN` of it, that joint is braked by this share, and another joint
 //! exceeds its deceleration. Between the ring's setpoints a cubic through them is followed (Catmull and Rom, 1974), so
 //! that the joints stay on the path whatever the rate is.
 //!
 //! The setpoints whose commands have been sent are kept: the motors are not yet there. So the first command of the
 //! millisecond in which the stop begins brakes already, and the command has no step.
 //!
-//! [`Envelope`] supervises the stop each millisecond, in the way of a safe stop 1 with a monitored ramp (SS1-r, IEC
+//! `Envelope` supervises the stop each millisecond, in the way of a safe stop 1 with a monitored ramp (SS1-r, IEC
 //! 61800-5-2): each joint's measured velocity stays near the planned one, and the time is limited.
 //!
 //! Invariants: every setpoint is on the path that the ring holds; the rate never grows; it is 0 within `1 / SHARE_MIN` of

@@ -259,7 +259,7 @@ fn the_table_of_the_stops_is_that_of_the_documentation() {
     assert!(median <= LONGER_MAX[0] && worst <= LONGER_MAX[1], "{median}, {worst}");
     writeln!(
         table,
-        "\nStopping time over the quick stop's: median {median:.2}, worst {worst:.2}."
+        "\nTime over that with equal deceleration, from 10 ms on: median {median:.2}, worst {worst:.2}."
     )
     .unwrap();
     let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(TABLE);

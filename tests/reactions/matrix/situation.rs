@@ -21,7 +21,7 @@ const HALF_WAY_PART: f64 = 0.45;
 pub(super) const LOW_MM_S: f64 = 20.0;
 pub(super) const FULL_MM_S: f64 = 1_000.0;
 /// Time from STOP to the fault at the low and at full speed, ms. A motor still moves then: while drawing, the robot stands
-/// 3 ms after STOP at 20 mm/s and 17 ms after STOP at 1,000 mm/s (`docs/faults.md`, the rows STOP).
+/// 9 ms after STOP at 20 mm/s and 36 ms after STOP at 1,000 mm/s (`docs/faults.md`, the rows STOP).
 const BRAKING_LOW_MS: u32 = 1;
 const BRAKING_FULL_MS: u32 = 6;
 /// Time from HOLD to the fault, ms. A motor still moves then.

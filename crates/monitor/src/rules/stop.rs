@@ -85,7 +85,7 @@ mod tests {
             &stopped(|rig| rig.command(Command::Stop), 200, 100.0),
             Rule::Stop
         ));
-        assert!(broken(&stopped(|rig| rig.command(Command::Stop), 8, 10.0), Rule::Stop));
+        assert!(broken(&stopped(|rig| rig.command(Command::Stop), 8, 8.0), Rule::Stop));
         assert!(broken(
             &stopped(|rig| rig.input(Input::StopInput(true)), 200, 100.0),
             Rule::Stop
