@@ -226,6 +226,13 @@ pub enum Fault {
         /// The limit.
         limit_ms: u16,
     },
+    /// An axis opened its limit switch in operation.
+    LimitSwitch {
+        /// Axis, from 0.
+        axis: u8,
+        /// The input: its place in the configuration's `io`, from 0.
+        io: u8,
+    },
     /// An axis could not be homed by its switch.
     HomingFailed {
         /// Axis, from 0.

@@ -131,15 +131,18 @@ pub enum IoRole {
     /// Input of a home switch, closed (1) in operation and open where the axis is at its switch. A terminal that fails is a
     /// fault.
     Home,
+    /// Input of a limit switch of the point's axis, closed (1) in operation. Outside homing, opening with power stops the
+    /// drives: a fault that names the axis. One that is open when power comes is none, so that the axis can be jogged off it.
+    Limit,
     /// Output that lowers the pen: on from the start of lowering to the start of lifting, off at every stop. A terminal that
     /// fails is a fault.
     Pen,
 }
 
 impl IoRole {
-    /// Whether the drives need this input to have power.
+    /// Whether the drives need this input to have power; of a limit switch only that it arrives.
     pub const fn stops(self) -> bool {
-        matches!(self, Self::EmergencyStop | Self::Door)
+        matches!(self, Self::EmergencyStop | Self::Door | Self::Limit)
     }
 
     /// Whether the controller sets this output by itself.
@@ -162,6 +165,7 @@ impl IoRole {
             Self::Start => "start",
             Self::Lamp => "lamp",
             Self::Home => "home",
+            Self::Limit => "limit",
             Self::Pen => "pen",
         }
     }
@@ -256,6 +260,8 @@ pub struct IoPoint {
     pub kind: IoType,
     /// What the robot does by itself with it.
     pub role: IoRole,
+    /// The axis, from 0, of an input with the role `limit`.
+    pub axis: Option<u8>,
     /// What becomes of an output at a fault.
     pub on_fault: OnFault,
 }
@@ -300,6 +306,13 @@ pub enum IoError {
         expected: u16,
         /// The bit given.
         actual: u16,
+    },
+    /// A limit switch needs one of the machine's axes, and no other point has one.
+    LimitAxis {
+        /// The point.
+        io: u8,
+        /// Number of the machine's axes.
+        axes: u8,
     },
     /// An axis's home switch is not an input with the role `home`.
     HomeSwitch {

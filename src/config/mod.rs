@@ -88,7 +88,7 @@ impl Default for Config {
 }
 
 /// Longest encoded configuration, bytes.
-pub const CONFIG_BYTES_MAX: usize = 2008;
+pub const CONFIG_BYTES_MAX: usize = 2040;
 
 impl Config {
     /// Settings of motion.
@@ -131,6 +131,14 @@ impl Config {
     /// The first [`IoError`].
     pub fn check_io(&self) -> Result<(), IoError> {
         io::check(&self.io)?;
+        for (io, point) in (0..).zip(&self.io) {
+            let is_of_an_axis = point.axis.map(|axis| axis < self.bus.drives);
+            let expected = (point.role == IoRole::Limit).then_some(true);
+            if is_of_an_axis != expected {
+                let axes = self.bus.drives;
+                return Err(IoError::LimitAxis { io, axes });
+            }
+        }
         for (number, axis) in (0..).zip(&self.axes) {
             let is_home = |io: u8| {
                 self.io
@@ -302,8 +310,9 @@ mod tests {
                     index: u16::MAX,
                     sub: u8::MAX,
                 }),
-                kind: IoType::I32,
-                role: IoRole::None,
+                kind: IoType::Bool,
+                role: IoRole::Limit,
+                axis: Some(3),
                 on_fault: OnFault::Hold,
             };
             assert_eq!(config.io.push(point), Ok(()));

@@ -26,9 +26,9 @@ pub enum PenLiftKind {
 pub struct PenLift {
     /// What lowers and lifts the pen.
     pub kind: PenLiftKind,
-    /// Time from the output's change until the pen touches, ms; not used with an axis.
+    /// Time from the output's change until the pen touches, ms; used with an output.
     pub down_ms: u16,
-    /// Time from the output's change until the pen has left the paper, ms; not used with an axis.
+    /// Time from the output's change until the pen has left the paper, ms; used with an output.
     pub up_ms: u16,
 }
 
@@ -60,7 +60,7 @@ impl PenLift {
     /// between lift and travel may be rounded by the travel tolerance, which is not counted as lift.
     pub(super) fn within(&self, motion: &MotionLimits, paper: &Paper) -> MotionLimits {
         let slowest_ms = self.down_ms.max(self.up_ms);
-        if self.kind == PenLiftKind::Axis || slowest_ms == 0 {
+        if self.kind != PenLiftKind::Output || slowest_ms == 0 {
             return *motion;
         }
         let lift_mm = (paper.pen_lift_mm - motion.travel_tolerance_mm).max(0.1 * paper.pen_lift_mm);
@@ -97,5 +97,11 @@ mod tests {
         };
         assert_eq!(lift.within(&slower, &paper).pen_speed_mm_s, 10.0);
         assert_eq!(PenLift::default().within(&motion, &paper), motion);
+        // Nothing lifts the pen, so that nothing has to be waited for.
+        let none = PenLift {
+            kind: PenLiftKind::None,
+            ..lift
+        };
+        assert_eq!(none.within(&motion, &paper), motion);
     }
 }

@@ -23,6 +23,8 @@ pub struct IoPlace {
     bit: Option<u16>,
     bits: u8,
     role: IoRole,
+    /// The axis of a limit switch, from 0.
+    axis: u8,
     /// Whether a fault leaves the output as it is.
     is_kept: bool,
 }
@@ -35,6 +37,7 @@ impl From<&IoPoint> for IoPlace {
             bit: point.bit,
             bits: point.kind.bits(),
             role: point.role,
+            axis: point.axis.unwrap_or(u8::MAX),
             // The controller sets a lamp in every mode.
             is_kept: point.on_fault == OnFault::Hold || point.role == IoRole::Lamp,
         }
@@ -51,6 +54,8 @@ pub struct IoStop {
     pub io: u8,
     /// Its role.
     pub role: IoRole,
+    /// The axis of a limit switch, from 0.
+    pub axis: u8,
     /// Whether it is open or missing.
     pub cause: InputCause,
 }
@@ -58,11 +63,22 @@ pub struct IoStop {
 impl IoStop {
     /// The fault of this stop.
     pub const fn fault(&self) -> Fault {
+        if self.is_limit() {
+            return Fault::LimitSwitch {
+                axis: self.axis,
+                io: self.io,
+            };
+        }
         Fault::StopInput {
             io: self.io,
             role: self.role,
             cause: self.cause,
         }
+    }
+
+    /// Whether a limit switch has opened. It is told in the millisecond in which it opens only.
+    pub const fn is_limit(&self) -> bool {
+        matches!((self.role, self.cause), (IoRole::Limit, InputCause::Open))
     }
 
     /// Whether the stop lasts whether the drives have power or not: an emergency stop that is open.
@@ -237,12 +253,17 @@ impl Io {
             report.valid |= bit;
             match *value {
                 0 => {
-                    report.miss(io, point, InputCause::Open);
+                    if point.role != IoRole::Limit || self.was_open & bit == 0 {
+                        report.miss(io, point, InputCause::Open);
+                    }
                     self.was_open |= bit;
                 }
                 _ => {
                     report.set |= bit;
                     report.start |= point.role == IoRole::Start && self.was_open & bit != 0;
+                    if point.role == IoRole::Limit {
+                        self.was_open &= !bit;
+                    }
                 }
             }
         }
@@ -318,7 +339,8 @@ impl IoReport {
     fn miss(&mut self, io: u8, point: &IoPlace, cause: InputCause) {
         let role = point.role;
         if role.stops() {
-            let stop = IoStop { io, role, cause };
+            let axis = point.axis;
+            let stop = IoStop { io, role, axis, cause };
             // An open emergency stop comes before all others: it lasts without power too.
             if self
                 .stop

@@ -563,7 +563,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             underrun,
             late: self.late,
             interlock: self.interlock,
-            io_stop: self.io.report().stop,
+            io_stop: (self.io.report().stop).filter(|stop| self.search.is_none() || !stop.is_limit()),
             spares_terminals: self.spares_terminals,
         };
         if following {

@@ -13,6 +13,7 @@ mod feedback_soak;
 mod homing;
 mod identity;
 mod io;
+mod limits;
 mod liveness;
 mod matrix;
 mod outputs;

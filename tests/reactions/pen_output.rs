@@ -3,7 +3,7 @@
 use crate::robot::Robot;
 use crate::{assert_described_standstill, assert_recovers_with};
 use etherpen::application::{Fault, Mode};
-use etherpen::config::Config;
+use etherpen::config::{Config, IoRole, PenLiftKind};
 use etherpen::messages::{Command, PathVertex};
 use etherpen::motion::Pen;
 use host_tools::cell::Fault as CellFault;
@@ -116,4 +116,35 @@ fn a_terminal_that_fails_while_its_pen_draws_is_a_fault_and_a_held_drawing_has_i
         robot.ack.finished && robot.mode() == Mode::Idle
     });
     assert_eq!(robot.fault(), None);
+}
+
+#[test]
+fn a_tool_that_nothing_lifts_touches_always_and_draws_its_travel_too() {
+    for speed_mm_s in [20.0, 200.0] {
+        let mut config = corexy();
+        config.pen.kind = PenLiftKind::None;
+        config.io.retain(|point| point.role != IoRole::Pen);
+        config.motion.speed_mm_s = speed_mm_s;
+        let mut robot = Robot::idle_with(&config);
+        assert!(robot.cell().pen_touches, "at rest too");
+        let begun_ms = robot.now_ms();
+        robot.draw(path());
+        robot.run_until("the path is executed", |robot| {
+            robot.ack.finished && robot.mode() == Mode::Idle
+        });
+        let drawn_ms = robot.now_ms() - begun_ms;
+        assert_eq!(robot.fault(), None);
+        let ink = robot.ink();
+        assert_eq!(ink.len(), 1, "one line without an end");
+        // Each vertex has ink, also those that are reached with the pen up. The sheet's y points down.
+        for vertex in path() {
+            let [x_um, y_um, _] = vertex.position_um.map(f64::from);
+            let on_sheet = [x_um / 1e3 + 100.0, 100.0 - y_um / 1e3];
+            let away_mm = ink[0].distance_mm(&on_sheet);
+            assert!(away_mm < 0.3, "{on_sheet:?}: {away_mm} mm");
+        }
+        // 16 legs of 60 mm.
+        println!("{speed_mm_s} mm/s: {drawn_ms} ms");
+        assert!((drawn_ms as f64) > 950.0 * 1e3 / speed_mm_s, "{drawn_ms} ms");
+    }
 }

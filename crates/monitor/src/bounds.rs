@@ -112,6 +112,8 @@ pub(crate) struct Bounds {
     pub(crate) touch_z_mm: f64,
     /// Lowest z, mm.
     pub(crate) z_low_mm: f64,
+    /// The height that all legs count at, mm, where no axis moves the tool up and down.
+    pub(crate) plan_z_mm: Option<f64>,
 }
 
 impl Bounds {
@@ -151,6 +153,7 @@ impl Bounds {
             undisturbed_mm: cell.tolerance_mm + cell.undisturbed_mm + lag.max(0.0),
             area_mm: AREA_MM + following_mm,
             touch_z_mm: cell.paper.pen_down_z_mm + cell.paper.pen_spring_mm,
+            plan_z_mm: (!cell.has_height_axis).then_some(cell.paper.pen_down_z_mm),
             z_low_mm: cell
                 .work_area
                 .z_low_mm

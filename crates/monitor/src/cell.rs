@@ -124,6 +124,11 @@ pub struct Cell {
     pub work_area: WorkArea,
     /// The sheet and the pen.
     pub paper: Paper,
+    /// Whether an axis moves the tool up and down. Otherwise an output lifts the pen: the height exists in orders only, the
+    /// third main axis stands at the height of a pen that draws, and distances are those in plan view.
+    pub has_height_axis: bool,
+    /// Whether nothing lifts the pen: it touches wherever the tool is.
+    pub always_touches: bool,
     /// Path speed with the pen down, mm/s.
     pub tool_speed_mm_s: f64,
     /// Path speed with the pen up, mm/s.
@@ -192,6 +197,8 @@ impl Default for Cell {
             joints: vec![main, main, main, fourth],
             work_area: WorkArea::default(),
             paper: Paper::default(),
+            has_height_axis: true,
+            always_touches: false,
             tool_speed_mm_s: 400.0,
             travel_speed_mm_s: 1_000.0,
             tool_acceleration_mm_s2: 10_000.0,

@@ -11,8 +11,24 @@ use crate::robot::MAIN_AXES;
 /// Part of half a motor turn up to which a reference is certain: near the middle between two turns either may be taken.
 const CERTAIN_PART: f64 = 0.98;
 
+/// Longest time from the order of a search to the report that the joints are not known, ms: the order is answered within
+/// a second, or its answer was lost.
+const SEARCH_MAX_MS: u64 = 1_500;
+
 /// How long the emergency-stop input has to be open to be a disturbance, ms: one less than the shortest stop.
 const OPEN_MS: u64 = 2;
+
+/// How far a search for the home switches is, which shows where the joints are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+enum Search {
+    /// There is none.
+    #[default]
+    None,
+    /// It was ordered at this time, ms; the joints may still count as known.
+    Ordered(u64),
+    /// The joints do not count as known.
+    UnderWay,
+}
 
 /// What is disturbed.
 #[derive(Clone, Debug, Default)]
@@ -25,6 +41,9 @@ pub(crate) struct Disturbances {
     misreferenced: bool,
     /// The value before the last command to home, while that is not answered.
     before_homing: Option<bool>,
+    search: Search,
+    /// Whether a feedback was not true in the search.
+    is_search_false: bool,
     feedback_ms: Option<u64>,
     machine_ms: Option<u64>,
     opened_ms: Option<u64>,
@@ -42,6 +61,10 @@ impl Disturbances {
         self.now_ms = now_ms;
         if self.feedback.contains(&true) {
             self.feedback_ms = Some(now_ms);
+            self.is_search_false |= self.search != Search::None;
+        }
+        if matches!(self.search, Search::Ordered(since_ms) if now_ms.saturating_sub(since_ms) > SEARCH_MAX_MS) {
+            self.search = Search::None;
         }
         if self.machine {
             self.machine_ms = Some(now_ms);
@@ -96,13 +119,29 @@ impl Disturbances {
                     pose_rad.get(axis).copied().unwrap_or(f64::NAN)
                 }));
             }
-            Input::Restarted => (self.misreferenced, self.before_homing) = (false, None),
+            Input::Commanded(Command::Search) => {
+                self.search = match self.search {
+                    Search::None => Search::Ordered(motion.now_ms),
+                    search => search,
+                };
+                self.is_search_false = self.feedback.contains(&true);
+            }
+            Input::Restarted => {
+                (self.misreferenced, self.before_homing) = (false, None);
+                self.search = Search::None;
+            }
             _ => {}
         }
     }
 
     pub(crate) fn hear(&mut self, report: &Report) {
         match report {
+            Report::Refused(Command::Search) if matches!(self.search, Search::Ordered(_)) => self.search = Search::None,
+            Report::Homed(false) if self.search != Search::None => self.search = Search::UnderWay,
+            Report::Homed(true) if self.search == Search::UnderWay => {
+                self.search = Search::None;
+                (self.misreferenced, self.before_homing) = (self.is_search_false, None);
+            }
             Report::Accepted(Command::Home | Command::HomeAt { .. }) => self.before_homing = None,
             Report::Refused(Command::Home | Command::HomeAt { .. }) => {
                 if let Some(before) = self.before_homing.take() {
@@ -136,6 +175,11 @@ impl Disturbances {
     /// Whether the drive of an axis cannot obey, or could not a moment ago.
     pub(crate) fn deaf(&self, axis: usize) -> bool {
         self.deaf_ms.get(axis).is_some_and(|since_ms| self.recent(*since_ms))
+    }
+
+    /// Whether the axes may be on their way to their home switches, from wherever they are.
+    pub(crate) fn searches(&self) -> bool {
+        self.search != Search::None
     }
 
     /// Whether the controller cannot know where the joints are.

@@ -27,6 +27,8 @@ pub enum Command {
         /// The pose, rad.
         pose_rad: [f64; POSE_AXES],
     },
+    /// Lead the axes to their home switches, which show where the joints are.
+    Search,
     /// Power the drives.
     Enable,
     /// Take the power from the drives.

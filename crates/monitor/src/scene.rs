@@ -56,9 +56,9 @@ impl Scene<'_> {
 }
 
 /// How far the tool may be beside a border or a path in addition to the bounds of sound motion, mm; `None` if nobody
-/// knows, because the reference is wrong.
+/// knows, because the reference is wrong or is being searched for.
 pub(crate) fn more_mm(cell: &Cell, disturbances: &Disturbances, is_changing: bool, slide_mm: f64) -> Option<f64> {
-    if disturbances.misreferenced() {
+    if disturbances.misreferenced() || disturbances.searches() {
         return None;
     }
     let by_feedback = if disturbances.feedback() {

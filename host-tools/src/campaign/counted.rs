@@ -63,9 +63,11 @@ pub(super) fn expected(episode: &Episode, config: &Config, injected: &BTreeMap<&
 mod tests {
     use super::super::episode::Event;
     use super::super::generate::{Profile, episode};
+    use super::super::machine::{DEFAULT_MACHINE, Machine};
     use super::*;
 
     fn with(whats: &[What]) -> Episode {
+        let machine = Machine::load(DEFAULT_MACHINE).expect("a bundled machine");
         Episode {
             events: whats
                 .iter()
@@ -74,7 +76,7 @@ mod tests {
                     what: what.clone(),
                 })
                 .collect(),
-            ..episode(1, Profile::Quiet)
+            ..episode(&machine, 1, Profile::Quiet)
         }
     }
 

@@ -103,6 +103,7 @@ fn end_of_the_firmware(ended: &Result<Traffic, EmulatorError>, passed_ms: u32) -
 #[cfg(test)]
 mod tests {
     use super::super::generate::{Profile, episode};
+    use super::super::machine::{DEFAULT_MACHINE, Machine};
     use super::*;
     use crate::setup;
 
@@ -110,9 +111,10 @@ mod tests {
     fn episodes_against_the_emulated_board_find_nothing() {
         setup::ensure_qemu().expect("the emulator can be had");
         let image = setup::build_firmware("emulated").expect("the firmware builds");
+        let machine = Machine::load(DEFAULT_MACHINE).expect("a bundled machine");
         let episode = Episode {
             duration_ms: 4_000,
-            ..for_the_image(&episode(3, Profile::All))
+            ..for_the_image(&episode(&machine, 3, Profile::All))
         };
         let runs = [(); 2].map(|()| run_image(&image, &episode));
         println!("{} ms", runs[0].passed_ms);

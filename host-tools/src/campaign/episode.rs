@@ -3,6 +3,7 @@
 //! Everything that decides an episode is in [`Episode`], so that the same value always gives the same run, and a file is
 //! enough to repeat it.
 
+use super::machine::{DEFAULT_MACHINE, Machine};
 use crate::error::{ProgramError, code};
 use etherpen::config::Config;
 use etherpen::messages::{Command, PathVertex};
@@ -19,6 +20,9 @@ pub struct Episode {
     /// What the episode found when its file was written; text for people.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub found: String,
+    /// The machine: a bundled one, or a configuration file.
+    #[serde(default = "default_machine")]
+    pub machine: String,
     /// Seed of everything that is left to chance in the run: the cell, and the line's noise.
     pub seed: u64,
     /// Time from power-up until all faults are ended, ms.
@@ -33,13 +37,17 @@ pub struct Episode {
     /// Drawings that wishes refer to.
     #[serde(default)]
     pub figures: Vec<Figure>,
-    /// Values of the configuration that differ from the default, by their place, for example `motion.speed_mm_s` or
+    /// Values of the configuration that differ from the machine's, by their place, for example `motion.speed_mm_s` or
     /// `axes.2.gear`.
     #[serde(default)]
     pub config: BTreeMap<String, Value>,
     /// What happens, in the order of time.
     #[serde(default)]
     pub events: Vec<Event>,
+}
+
+fn default_machine() -> String {
+    DEFAULT_MACHINE.to_owned()
 }
 
 /// Something that happens at a time.
@@ -138,9 +146,10 @@ impl Episode {
     /// The configuration.
     ///
     /// # Errors
-    /// A value has no place, has another type, or is out of its bounds.
+    /// The machine does not exist; a value has no place, has another type, or is out of its bounds.
     pub fn configuration(&self) -> Result<Config, String> {
-        let mut table = Value::try_from(Config::default()).map_err(|cause| cause.to_string())?;
+        let machine = Machine::load(&self.machine)?;
+        let mut table = Value::try_from(machine.config).map_err(|cause| cause.to_string())?;
         for (place, value) in &self.config {
             let found = place.split('.').try_fold(&mut table, |within, name| match within {
                 Value::Array(items) => items.get_mut(name.parse::<usize>().ok()?),
@@ -195,10 +204,15 @@ mod tests {
     use super::*;
     use crate::campaign::generate::{Profile, episode};
 
+    fn of_the_default(seed: u64) -> Episode {
+        let machine = Machine::load(DEFAULT_MACHINE).expect("a bundled machine");
+        episode(&machine, seed, Profile::All)
+    }
+
     #[test]
     fn a_file_gives_the_same_episode_again() {
         for seed in 0..200 {
-            let written = episode(seed, Profile::All);
+            let written = of_the_default(seed);
             let read = Episode::parse(&written.to_text()).unwrap_or_else(|cause| panic!("seed {seed}: {cause}"));
             assert_eq!(read, written, "seed {seed}");
         }
@@ -206,7 +220,7 @@ mod tests {
 
     #[test]
     fn a_place_that_does_not_exist_is_named() {
-        let mut wrong = episode(1, Profile::All);
+        let mut wrong = of_the_default(1);
         wrong.config.insert("axes.9.gear".to_owned(), Value::Float(1.0));
         assert_eq!(
             wrong.configuration().unwrap_err(),
@@ -216,7 +230,7 @@ mod tests {
 
     #[test]
     fn words_that_are_no_fault_are_named() {
-        let mut wrong = episode(1, Profile::All);
+        let mut wrong = of_the_default(1);
         wrong.events.push(Event {
             at_ms: 1,
             what: What::Fault("explode 3".to_owned()),

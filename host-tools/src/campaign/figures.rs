@@ -5,36 +5,38 @@
 
 use super::chance::Chance;
 use super::episode::Figure;
+use super::machine::Machine;
 use std::f64::consts::{PI, TAU};
 
-/// Half the side of the square in which figures lie, mm.
-const FIGURE_MM: f64 = 90.0;
 /// Step of the link's coordinates, mm.
 const QUANTUM_MM: f64 = 1.0e-3;
 
 type Point = [f64; 2];
 
-/// One to four strokes.
-pub(super) fn figure(chance: &mut Chance) -> Figure {
+/// One to four strokes on the machine's sheet.
+pub(super) fn figure(chance: &mut Chance, machine: &Machine) -> Figure {
+    let half_mm = machine.figure_mm();
     let strokes = (0..1 + chance.below(4)).map(|_| {
-        let from = [0.0; 2].map(|_: f64| chance.between(-0.8 * FIGURE_MM, 0.8 * FIGURE_MM));
+        let from = half_mm.map(|half_mm| chance.between(-0.8 * half_mm, 0.8 * half_mm));
         let points = match chance.below(8) {
-            0 | 1 => walk(chance, from),
+            0 | 1 => walk(chance, from, half_mm),
             2 | 3 => noise(chance, from),
             4 => winding(chance, from),
             5 => hatch(chance, from),
             6 => spiral(chance, from),
             _ => reversals(chance, from),
         };
-        whole(&points)
+        whole(&points, half_mm, machine.config.paper.centre_mm)
     });
     Figure(strokes.collect())
 }
 
-/// The points in micrometres, within the square; a stroke has two different ones at least.
-fn whole(points: &[Point]) -> Vec<[i32; 2]> {
-    let um = |mm: f64| (mm.clamp(-FIGURE_MM, FIGURE_MM) * 1e3).round() as i32;
-    let mut points: Vec<[i32; 2]> = points.iter().map(|point| point.map(um)).collect();
+/// The points in micrometres, within their part of the sheet; a stroke has two different ones at least.
+fn whole(points: &[Point], half_mm: Point, centre_mm: Point) -> Vec<[i32; 2]> {
+    let um = |point: &Point| {
+        [0, 1].map(|axis| ((centre_mm[axis] + point[axis].clamp(-half_mm[axis], half_mm[axis])) * 1e3).round() as i32)
+    };
+    let mut points: Vec<[i32; 2]> = points.iter().map(um).collect();
     points.dedup();
     if let [[x_um, y_um]] = points[..] {
         points.push([x_um, y_um + 10]);
@@ -47,11 +49,11 @@ fn ahead([x, y]: Point, direction_rad: f64, mm: f64) -> Point {
 }
 
 /// Steps of one scale in every direction.
-fn walk(chance: &mut Chance, from: Point) -> Vec<Point> {
+fn walk(chance: &mut Chance, from: Point, half_mm: Point) -> Vec<Point> {
     let step_mm = chance.scaled(0.002, 80.0);
     let (mut at, mut points) = (from, vec![from]);
     for _ in 0..2 + chance.below(40) {
-        at = at.map(|mm| (mm + chance.between(-step_mm, step_mm)).clamp(-FIGURE_MM, FIGURE_MM));
+        at = [0, 1].map(|axis| (at[axis] + chance.between(-step_mm, step_mm)).clamp(-half_mm[axis], half_mm[axis]));
         points.push(at);
     }
     points
@@ -121,13 +123,15 @@ fn reversals(chance: &mut Chance, from: Point) -> Vec<Point> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::campaign::machine::DEFAULT_MACHINE;
 
     #[test]
     fn figures_have_short_steps_reversals_and_long_lines() {
         let mut chance = Chance::new(1);
+        let machine = Machine::load(DEFAULT_MACHINE).expect("a bundled machine");
         let (mut finest, mut short, mut long, mut reversals) = (0, 0, 0, 0);
         for _ in 0..300 {
-            for points in figure(&mut chance).0 {
+            for points in figure(&mut chance, &machine).0 {
                 assert!(points.len() >= 2);
                 assert!(points.iter().flatten().all(|um| um.abs() <= 90_010));
                 let legs: Vec<[i64; 2]> = points

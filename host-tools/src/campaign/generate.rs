@@ -5,9 +5,9 @@
 
 use super::chance::Chance;
 use super::episode::{Episode, Event, Figure, What, Wish};
+use super::machine::Machine;
 use super::{figures, trouble};
 use clap::ValueEnum;
-use etherpen::config::Config;
 use etherpen::messages::Command;
 use etherpen::motion::Pen;
 use etherpen::robots::Position;
@@ -43,47 +43,56 @@ const DURATION_MAX_MS: f64 = 25_000.0;
 /// Most events of an episode.
 const EVENTS_MAX: u64 = 14;
 
-/// The episode of a seed.
+/// The episode of a seed on a machine.
 #[must_use]
-pub fn episode(seed: u64, profile: Profile) -> Episode {
+pub fn episode(machine: &Machine, seed: u64, profile: Profile) -> Episode {
     let mut chance = Chance::new(seed ^ 0x5EED_0000_0000_0000);
     let duration_ms = chance.scaled(3_000.0, DURATION_MAX_MS) as u32;
-    let figures: Vec<Figure> = (0..1 + chance.below(3)).map(|_| figures::figure(&mut chance)).collect();
+    let figures: Vec<Figure> = (0..1 + chance.below(3))
+        .map(|_| figures::figure(&mut chance, machine))
+        .collect();
     let wishes = (0..1 + chance.below(6))
-        .map(|_| wish(&mut chance, figures.len()))
+        .map(|_| wish(&mut chance, machine, figures.len()))
         .collect();
     let mut episode = Episode {
         found: String::new(),
+        machine: machine.name.clone(),
         seed: chance.below(1 << 40),
         duration_ms,
         patience_ms: chance.scaled(10.0, 1_000.0) as u32,
         draws: true,
         wishes,
         figures,
-        config: configuration(&mut chance),
+        config: configuration(&mut chance, machine),
         events: Vec::new(),
     };
+    keep_valid(&mut episode);
     if chance.one_in(5) {
-        soften(&mut episode, chance.scaled(0.5, 400.0));
+        soften(&mut episode, machine, chance.scaled(0.5, 400.0));
     }
     let is_by_torque = episode.config.keys().any(|key| key.ends_with(".mode"));
     // With chances of its own, so that the other episodes of all seeds stay as they are.
     if !is_by_torque && Chance::new(seed ^ POSITION_SEED).one_in(6) {
-        by_position(&mut episode);
+        by_position(&mut episode, machine);
     }
     match profile {
-        Profile::Terminals => with_terminals(&mut episode),
-        Profile::Cables => with_serial_numbers(&mut episode),
+        Profile::Terminals if machine.chain.terminals.is_empty() => with_terminals(&mut episode, machine),
+        Profile::Cables => with_serial_numbers(&mut episode, machine),
         _ => {}
     }
     if profile != Profile::Quiet {
-        episode.events = events(&mut chance, profile, duration_ms);
+        episode.events = events(&mut chance, machine, profile, duration_ms);
     }
     episode
 }
 
+/// Takes values away that the machine cannot have together.
+fn keep_valid(episode: &mut Episode) {
+    while episode.configuration().is_err() && episode.config.pop_last().is_some() {}
+}
+
 /// Names a lamp and an input of two terminals behind the drives, whose failure is no fault.
-fn with_terminals(episode: &mut Episode) {
+fn with_terminals(episode: &mut Episode, machine: &Machine) {
     let point = |name: &str, place: u64, direction: &str, role: &str| {
         let text = |text: &str| Value::String(text.into());
         Value::Table(toml::Table::from_iter([
@@ -94,7 +103,7 @@ fn with_terminals(episode: &mut Episode) {
             ("role".into(), text(role)),
         ]))
     };
-    let first = trouble::TERMINAL - 1;
+    let first = machine.chain.slaves as u64;
     let points = vec![
         point("lamp", first, "out", "lamp"),
         point("spare", first + 1, "in", "none"),
@@ -102,17 +111,17 @@ fn with_terminals(episode: &mut Episode) {
     episode.config.insert("io".into(), Value::Array(points));
 }
 
-/// Tells the drives apart: those of the cell count their serial numbers from 1.
-fn with_serial_numbers(episode: &mut Episode) {
-    for axis in 0..Config::default().axes.len() {
-        let serial = Value::Integer(axis as i64 + 1);
+/// Tells the drives apart: the serial number of each is its place in the chain, from 1.
+fn with_serial_numbers(episode: &mut Episode, machine: &Machine) {
+    for (axis, slave) in machine.chain.drives.iter().enumerate() {
+        let serial = Value::Integer(*slave as i64);
         episode.config.insert(format!("axes.{axis}.serial"), serial);
     }
 }
 
 /// Lets all drives close the position loop.
-fn by_position(episode: &mut Episode) {
-    for axis in 0..Config::default().axes.len() {
+fn by_position(episode: &mut Episode, machine: &Machine) {
+    for axis in 0..machine.axes() {
         let mode = Value::String("position".into());
         episode.config.insert(format!("axes.{axis}.mode"), mode);
         let gain = Value::Float(POSITION_GAIN_PER_S);
@@ -121,9 +130,9 @@ fn by_position(episode: &mut Episode) {
 }
 
 /// Sets the deceleration of a quick stop, rad/s2, if the configuration may have it.
-fn soften(episode: &mut Episode, rad_s2: f64) {
+fn soften(episode: &mut Episode, machine: &Machine, rad_s2: f64) {
     let place = |axis| format!("axes.{axis}.quick_stop_rad_s2");
-    let axes = 0..Config::default().axes.len();
+    let axes = 0..machine.axes();
     let value = Value::Float((rad_s2 * 1e3).round() / 1e3);
     episode
         .config
@@ -134,7 +143,7 @@ fn soften(episode: &mut Episode, rad_s2: f64) {
 }
 
 /// Events at random times, now and then several in one burst.
-fn events(chance: &mut Chance, profile: Profile, duration_ms: u32) -> Vec<Event> {
+fn events(chance: &mut Chance, machine: &Machine, profile: Profile, duration_ms: u32) -> Vec<Event> {
     // Faults of one kind of frames can be counted exactly.
     let only = (profile == Profile::Bus && chance.one_in(6)).then(|| trouble::of_frames(chance));
     let mut events = Vec::new();
@@ -147,7 +156,7 @@ fn events(chance: &mut Chance, profile: Profile, duration_ms: u32) -> Vec<Event>
         };
         let what = match &only {
             Some(words) => What::Frames(words.clone(), chance.scaled(1.0, 80.0) as u32),
-            None => what(chance, profile),
+            None => what(chance, machine, profile),
         };
         if let What::Fault(words) = &what
             && let Some(end) = trouble::end_of(chance, words)
@@ -168,7 +177,8 @@ fn events(chance: &mut Chance, profile: Profile, duration_ms: u32) -> Vec<Event>
 }
 
 /// One event.
-pub(super) fn what(chance: &mut Chance, profile: Profile) -> What {
+pub(super) fn what(chance: &mut Chance, machine: &Machine, profile: Profile) -> What {
+    let chain = &machine.chain;
     let profile = match profile {
         Profile::All | Profile::Quiet => chance.one_of(&[
             Profile::Bus,
@@ -183,12 +193,14 @@ pub(super) fn what(chance: &mut Chance, profile: Profile) -> What {
     };
     match profile {
         Profile::Bus if chance.one_in(3) => What::Frames(trouble::of_frames(chance), chance.scaled(1.0, 80.0) as u32),
-        Profile::Bus if chance.one_in(10) => What::State(chance.below(4) as u8, chance.one_of(&[1, 2, 4, 8])),
-        Profile::Bus => What::Fault(trouble::of_the_bus(chance)),
-        Profile::Drives => What::Fault(trouble::of_a_drive(chance)),
-        Profile::Terminals if chance.one_in(4) => What::Fault(trouble::of_the_bus(chance)),
-        Profile::Terminals => What::Fault(trouble::of_a_terminal(chance)),
-        Profile::Cables => What::Fault(trouble::of_exchanged_cables(chance)),
+        Profile::Bus if chance.one_in(10) => {
+            What::State(chance.below(chain.slaves as u64) as u8, chance.one_of(&[1, 2, 4, 8]))
+        }
+        Profile::Bus => What::Fault(trouble::of_the_bus(chance, chain)),
+        Profile::Drives => What::Fault(trouble::of_a_drive(chance, chain)),
+        Profile::Terminals if chance.one_in(4) => What::Fault(trouble::of_the_bus(chance, chain)),
+        Profile::Terminals => What::Fault(trouble::of_a_terminal(chance, chain)),
+        Profile::Cables => What::Fault(trouble::of_exchanged_cables(chance, chain)),
         Profile::Link => match chance.below(4) {
             0 => What::Reconnect,
             1 => What::Unplug(chance.milliseconds(4_000)),
@@ -200,13 +212,13 @@ pub(super) fn what(chance: &mut Chance, profile: Profile) -> What {
             2 => What::PortDown(chance.milliseconds(2_000)),
             _ => What::StopInput(chance.milliseconds(2_000)),
         },
-        Profile::Operator | Profile::All | Profile::Quiet if chance.one_in(2) => What::Beside(command(chance)),
-        Profile::Operator | Profile::All | Profile::Quiet => What::Command(command(chance)),
+        Profile::Operator | Profile::All | Profile::Quiet if chance.one_in(2) => What::Beside(command(chance, machine)),
+        Profile::Operator | Profile::All | Profile::Quiet => What::Command(command(chance, machine)),
     }
 }
 
 /// A command at a moment that nobody chose. Homing is left to the operator, who knows the robot's pose.
-fn command(chance: &mut Chance) -> Command {
+fn command(chance: &mut Chance, machine: &Machine) -> Command {
     match chance.below(14) {
         0 | 1 => Command::Stop,
         2 => Command::Enable,
@@ -228,7 +240,7 @@ fn command(chance: &mut Chance) -> Command {
             job: chance.below(4) as u16,
         },
         _ => {
-            let [x_mm, y_mm, z_mm] = position(chance);
+            let [x_mm, y_mm, z_mm] = position(chance, machine);
             Command::Move {
                 position: Position { x_mm, y_mm, z_mm },
             }
@@ -241,25 +253,49 @@ fn velocity(chance: &mut Chance) -> [f32; 3] {
     [0; 3].map(|_| chance.between(-speed_mm_s, speed_mm_s) as f32)
 }
 
-/// A position above the paper; one in eight lies outside the work area.
-fn position(chance: &mut Chance) -> [f64; 3] {
-    let reach_mm = if chance.one_in(8) { 900.0 } else { 250.0 };
-    [
-        chance.between(-reach_mm, reach_mm),
-        chance.between(-reach_mm, reach_mm),
-        chance.between(-848.0, -780.0),
-    ]
+/// A position above the paper; one in eight may lie far outside the work area.
+fn position(chance: &mut Chance, machine: &Machine) -> [f64; 3] {
+    let (paper, area) = (&machine.config.paper, &machine.config.work_area);
+    let sheets = if chance.one_in(8) { 4.5 } else { 1.25 };
+    let mut beside = |axis: usize| {
+        let reach_mm = sheets * paper.size_mm[axis];
+        paper.centre_mm[axis] + chance.between(-reach_mm, reach_mm)
+    };
+    let (x_mm, y_mm) = (beside(0), beside(1));
+    let low_mm = paper.pen_down_z_mm + 2.0;
+    let high_mm = (paper.pen_down_z_mm + 70.0).min(area.z_high_mm).max(low_mm);
+    [x_mm, y_mm, chance.between(low_mm, high_mm)]
 }
 
 /// A place near a border of the work area, on either side.
-fn near_a_border(chance: &mut Chance) -> [f64; 3] {
-    let area = Config::default().work_area;
+fn near_a_border(chance: &mut Chance, machine: &Machine) -> [f64; 3] {
+    let area = &machine.config.work_area;
     let off_mm = chance.scaled(0.01, 20.0) * chance.one_of(&[-1.0, 1.0]);
     let (direction_rad, z_mm) = (chance.between(0.0, TAU), chance.between(area.z_low_mm, area.z_high_mm));
     let at = |radius_mm: f64, z_mm| [radius_mm * direction_rad.cos(), radius_mm * direction_rad.sin(), z_mm];
-    match chance.below(3) {
-        0 => at(chance.between(0.0, area.radius_mm), area.z_high_mm + off_mm),
-        1 => at(chance.between(0.0, area.radius_mm), area.z_low_mm + off_mm),
+    let is_box = area.x_mm.iter().chain(&area.y_mm).all(|side_mm| side_mm.is_finite());
+    let side = chance.below(3);
+    if is_box {
+        let mut place = [
+            chance.between(area.x_mm[0], area.x_mm[1]),
+            chance.between(area.y_mm[0], area.y_mm[1]),
+            z_mm,
+        ];
+        let sides = [area.x_mm, area.y_mm, [area.z_low_mm, area.z_high_mm]];
+        let [low_mm, high_mm] = sides[side as usize];
+        place[side as usize] = off_mm + if chance.one_in(2) { low_mm } else { high_mm };
+        return place;
+    }
+    match side {
+        0 => at(
+            chance.between(area.inner_radius_mm, area.radius_mm),
+            area.z_high_mm + off_mm,
+        ),
+        1 => at(
+            chance.between(area.inner_radius_mm, area.radius_mm),
+            area.z_low_mm + off_mm,
+        ),
+        _ if area.inner_radius_mm > 0.0 && chance.one_in(2) => at(area.inner_radius_mm + off_mm, z_mm),
         _ => at(area.radius_mm + off_mm, z_mm),
     }
 }
@@ -272,47 +308,49 @@ fn straight(chance: &mut Chance) -> [f32; 3] {
 }
 
 /// Two or three commands for one millisecond.
-fn at_once(chance: &mut Chance) -> Vec<Command> {
-    let mut commands: Vec<Command> = (0..1 + chance.below(2)).map(|_| command(chance)).collect();
+fn at_once(chance: &mut Chance, machine: &Machine) -> Vec<Command> {
+    let mut commands: Vec<Command> = (0..1 + chance.below(2)).map(|_| command(chance, machine)).collect();
     let place = chance.below(commands.len() as u64 + 1) as usize;
     let first = if chance.one_in(2) {
         Command::Home
     } else {
-        command(chance)
+        command(chance, machine)
     };
     commands.insert(place, first);
     commands
 }
 
-fn wish(chance: &mut Chance, figures: usize) -> Wish {
+fn wish(chance: &mut Chance, machine: &Machine, figures: usize) -> Wish {
     match chance.below(16) {
         0..=6 => Wish::Draw(chance.below(figures as u64) as usize),
-        7 => Wish::Move(position(chance)),
-        8 => Wish::Move(near_a_border(chance)),
+        7 => Wish::Move(position(chance, machine)),
+        8 => Wish::Move(near_a_border(chance, machine)),
         9 => Wish::Jog(velocity(chance), chance.milliseconds(1_500)),
         10 => Wish::Jog(straight(chance), chance.milliseconds(6_000)),
-        11 | 12 => Wish::AtOnce(at_once(chance)),
+        11 | 12 => Wish::AtOnce(at_once(chance, machine)),
         13 | 14 => chance.one_of(&[Wish::Pen, Wish::Disable]),
         _ => Wish::Override(chance.one_of(&[10, 50, 100, 150, 200])),
     }
 }
 
-/// Values that differ from the default configuration, with which the drives still follow well.
-fn configuration(chance: &mut Chance) -> BTreeMap<String, Value> {
+/// Values that differ from the machine's configuration, with which the drives still follow well.
+fn configuration(chance: &mut Chance, machine: &Machine) -> BTreeMap<String, Value> {
     let mut values = BTreeMap::new();
     let rounded = |value: f64| Value::Float((value * 1e3).round() / 1e3);
-    let axes = Config::default().axes.len();
+    let (motion, paper) = (&machine.config.motion, &machine.config.paper);
+    let part_of =
+        |chance: &mut Chance, usual: f64, [low, high]: [f64; 2]| rounded(chance.scaled(low * usual, high * usual));
     if chance.one_in(2) {
-        values.insert("motion.speed_mm_s".into(), rounded(chance.scaled(5.0, 600.0)));
+        let speed = part_of(chance, motion.speed_mm_s, [0.0125, 1.5]);
+        values.insert("motion.speed_mm_s".into(), speed);
     }
     if chance.one_in(3) {
-        values.insert("motion.travel_speed_mm_s".into(), rounded(chance.scaled(20.0, 1_000.0)));
+        let speed = part_of(chance, motion.travel_speed_mm_s, [0.02, 1.0]);
+        values.insert("motion.travel_speed_mm_s".into(), speed);
     }
     if chance.one_in(3) {
-        values.insert(
-            "motion.acceleration_mm_s2".into(),
-            rounded(chance.scaled(100.0, 12_000.0)),
-        );
+        let acceleration = part_of(chance, motion.acceleration_mm_s2, [0.01, 1.2]);
+        values.insert("motion.acceleration_mm_s2".into(), acceleration);
     }
     if chance.one_in(4) {
         values.insert("motion.tolerance_mm".into(), rounded(chance.scaled(0.02, 0.3)));
@@ -324,7 +362,11 @@ fn configuration(chance: &mut Chance) -> BTreeMap<String, Value> {
         values.insert("motion.pen_dwell_ms".into(), Value::Integer(chance.below(80) as i64));
     }
     if chance.one_in(4) {
-        values.insert("paper.pen_lift_mm".into(), rounded(chance.scaled(1.0, 10.0)));
+        let room_mm = machine.config.work_area.z_high_mm - paper.pen_down_z_mm - BELOW_MM;
+        values.insert(
+            "paper.pen_lift_mm".into(),
+            rounded(chance.scaled(1.0, 10.0).min(room_mm)),
+        );
     }
     if chance.one_in(3) {
         values.insert("bus.clocks".into(), Value::Boolean(true));
@@ -344,8 +386,9 @@ fn configuration(chance: &mut Chance) -> BTreeMap<String, Value> {
             Value::Integer(200 + chance.below(2_000) as i64),
         );
     }
-    if chance.one_in(5) {
-        for axis in 0..axes {
+    // The other machines' drives are set up for the mode of their samples.
+    if chance.one_in(5) && machine.is_default() {
+        for axis in 0..machine.axes() {
             values.insert(format!("axes.{axis}.mode"), Value::String("torque".into()));
             values.insert(
                 format!("axes.{axis}.feedback_gain_per_s"),
@@ -356,6 +399,8 @@ fn configuration(chance: &mut Chance) -> BTreeMap<String, Value> {
     values
 }
 
+/// Distance of a lifted pen from the upper border of the work area, mm.
+const BELOW_MM: f64 = 0.5;
 /// Feedback gain with which drives in torque mode follow well, 1/s.
 const TORQUE_GAIN_PER_S: f64 = 40.0;
 /// Gain of the position loop of the cell's drives, 1/s.
@@ -366,28 +411,40 @@ const POSITION_SEED: u64 = 0x0005_1710_0000;
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::campaign::machine::DEFAULT_MACHINE;
+    use crate::settings::machines::MACHINES;
+
+    fn machine(name: &str) -> Machine {
+        Machine::load(name).expect("a bundled machine")
+    }
 
     #[test]
     fn every_episode_has_a_valid_configuration_and_drawings() {
-        for seed in 0..500 {
-            let episode = episode(seed, Profile::All);
-            let config = episode
-                .configuration()
-                .unwrap_or_else(|cause| panic!("seed {seed}: {cause}"));
-            for figure in &episode.figures {
-                let path = figure.path(&config);
-                assert!(path.len() >= 4, "seed {seed}");
-                let repeats = path.windows(2).any(|pair| pair[0].position_um == pair[1].position_um);
-                assert!(!repeats, "seed {seed}: a vertex repeats the one before it");
+        for machine in MACHINES.map(|machine| self::machine(machine.name)) {
+            let mut values = 0;
+            for seed in 0..120 {
+                let episode = episode(&machine, seed, Profile::All);
+                let config = episode
+                    .configuration()
+                    .unwrap_or_else(|cause| panic!("{}, seed {seed}: {cause}", machine.name));
+                values += episode.config.len();
+                for figure in &episode.figures {
+                    let path = figure.path(&config);
+                    assert!(path.len() >= 4, "seed {seed}");
+                    let repeats = path.windows(2).any(|pair| pair[0].position_um == pair[1].position_um);
+                    assert!(!repeats, "seed {seed}: a vertex repeats the one before it");
+                }
             }
+            assert!(values > 200, "{}: {values} values of the configuration", machine.name);
         }
     }
 
     #[test]
     fn a_profile_keeps_to_its_faults() {
+        let machine = machine(DEFAULT_MACHINE);
         for seed in 0..300 {
-            assert!(episode(seed, Profile::Quiet).events.is_empty());
-            for event in episode(seed, Profile::Link).events {
+            assert!(episode(&machine, seed, Profile::Quiet).events.is_empty());
+            for event in episode(&machine, seed, Profile::Link).events {
                 assert!(matches!(
                     event.what,
                     What::Reconnect | What::Unplug(_) | What::Noise(..)
@@ -398,9 +455,10 @@ mod tests {
 
     #[test]
     fn every_kind_of_event_and_wish_occurs() {
+        let machine = machine(DEFAULT_MACHINE);
         let mut seen = std::collections::BTreeSet::new();
         for seed in 0..400 {
-            let episode = episode(seed, Profile::All);
+            let episode = episode(&machine, seed, Profile::All);
             for event in &episode.events {
                 let words = match &event.what {
                     What::Fault(words) | What::Frames(words, _) => {

@@ -2,15 +2,16 @@
 //!
 //! Nothing is judged here. Commands are taken from the bytes that reached the board, after the line's noise.
 
+use super::machine::{Chain, has_height_axis, has_switches};
 use super::world::Frame;
 use super::{Rule, robot};
 use crate::cell::{Fault, PEN_SPRING_MM, Product, ResolverFault, SiiFault, Truth};
 use etherpen::application::Mode;
-use etherpen::config::{Axis, AxisMode, Config, Transport};
+use etherpen::config::{Axis, AxisMode, Config, PenLiftKind, Transport};
 use etherpen::link::frame::{Decoder, decode};
 use etherpen::messages::{Command, HostMessage, PathVertex, Status};
 use etherpen::motion::Pen;
-use etherpen::robots::AXES;
+use etherpen::robots::{AXES, MAIN_AXES};
 use etherpen_monitor as monitor;
 use monitor::{Count, Input, Joint, Moment, Monitor, Report, WireFrame};
 
@@ -80,6 +81,10 @@ pub(super) struct Judge {
     /// Axes whose encoder was mounted again: their positions are true once the robot is homed.
     mounted: [bool; AXES],
     axes: usize,
+    chain: Chain,
+    has_switches: bool,
+    /// Whether the axes were reported on their way to their home switches.
+    searches: bool,
     /// The drives that belong in the cell.
     products: [Product; AXES],
     configured: bool,
@@ -102,7 +107,10 @@ impl Judge {
             open: Vec::new(),
             untrue: [0; AXES],
             mounted: [false; AXES],
-            axes: config.axes.len(),
+            axes: config.bus.drives.into(),
+            chain: Chain::new(config),
+            has_switches: has_switches(config),
+            searches: false,
             products: config.axes.each_ref().map(product),
             configured: false,
             ordered: None,
@@ -125,7 +133,7 @@ impl Judge {
                 // A repeated request is carried out once.
                 Ok(HostMessage::Command { id, command }) if self.last_command != Some(id) => {
                     self.last_command = Some(id);
-                    self.inputs.extend(command_of(&command).map(Input::Commanded));
+                    self.inputs.extend(self.command_of(&command).map(Input::Commanded));
                     self.begin(&command);
                 }
                 Ok(HostMessage::Configure { .. }) if !self.configured => {
@@ -158,13 +166,15 @@ impl Judge {
     }
 
     pub(super) fn answered(&mut self, command: &Command, accepted: bool) {
-        if accepted && matches!(command, Command::Home | Command::HomeAt { .. }) {
+        let is_home = matches!(command, Command::Home) && !self.has_switches;
+        if accepted && (is_home || matches!(command, Command::HomeAt { .. })) {
             self.homed();
         }
-        self.reports.extend(command_of(command).map(|command| match accepted {
-            true => Report::Accepted(command),
-            false => Report::Refused(command),
-        }));
+        self.reports
+            .extend(self.command_of(command).map(|command| match accepted {
+                true => Report::Accepted(command),
+                false => Report::Refused(command),
+            }));
     }
 
     pub(super) fn refused_vertex(&mut self, job: u16, index: u32) {
@@ -187,6 +197,10 @@ impl Judge {
     /// A status has arrived.
     pub(super) fn reported(&mut self, status: &Status) {
         self.reports.push(Report::Mode(mode_of(status.mode)));
+        self.searches |= status.mode == Mode::Homing;
+        if status.mode != Mode::Homing && std::mem::take(&mut self.searches) && status.referenced {
+            self.homed();
+        }
         self.reports
             .push(Report::Fault(status.fault.map(|fault| format!("{fault:?}"))));
         self.reports.push(Report::Homed(status.referenced));
@@ -222,9 +236,11 @@ impl Judge {
                 }
             }
             Fault::Processor(slave, lasts_ms) => {
-                let deaf = |deaf| Input::Drive { axis: slave - 1, deaf };
-                self.inputs.push(deaf(true));
-                self.ends_after(now_ms, lasts_ms, deaf(false));
+                if let Some(axis) = self.chain.axis(slave) {
+                    let deaf = |deaf| Input::Drive { axis, deaf };
+                    self.inputs.push(deaf(true));
+                    self.ends_after(now_ms, lasts_ms, deaf(false));
+                }
                 self.disturbed(now_ms, Some(lasts_ms));
             }
             Fault::Cut(_) => self.opens(now_ms, Open::Cut),
@@ -232,7 +248,7 @@ impl Judge {
             Fault::Join => self.closes(now_ms, Open::Cut),
             Fault::Insert(slave) => self.closes(now_ms, Open::Removed(slave)),
             // A slave that is exchanged, if only for one of its own kind, is bypassed for a moment.
-            Fault::Swap(slave, product) => match product == self.products[(slave - 1).min(AXES - 1)] {
+            Fault::Swap(slave, product) => match Some(product) == self.product(slave) {
                 true => {
                     self.disturbed(now_ms, Some(AFTER_REPAIR_MS));
                     self.closes(now_ms, Open::Swapped(slave));
@@ -263,9 +279,22 @@ impl Judge {
         }
     }
 
+    /// The drive that belongs at a slave's place.
+    fn product(&self, slave: usize) -> Option<Product> {
+        self.chain.axis(slave).and_then(|axis| self.products.get(axis)).copied()
+    }
+
+    /// The command as the monitor knows it: homing leads the axes to their switches where there are some.
+    fn command_of(&self, command: &Command) -> Option<monitor::Command> {
+        match command {
+            Command::Home if self.has_switches => Some(monitor::Command::Search),
+            other => command_of(other),
+        }
+    }
+
     /// An axis's feedback is not true for some milliseconds, or until it is put right.
     fn untrue(&mut self, now_ms: u32, slave: usize, lasts_ms: Option<u64>) {
-        let axis = slave - 1;
+        let Some(axis) = self.chain.axis(slave) else { return };
         let Some(untrue) = self.untrue.get_mut(axis) else {
             return;
         };
@@ -279,7 +308,7 @@ impl Judge {
     /// An axis's encoder has been put right. One that had lost its position shows it again after the robot is homed:
     /// until then the controller goes on from the false one.
     fn true_again(&mut self, slave: usize) {
-        let axis = slave - 1;
+        let Some(axis) = self.chain.axis(slave) else { return };
         let Some(untrue) = self.untrue.get_mut(axis) else {
             return;
         };
@@ -512,14 +541,33 @@ pub(super) fn ink_limit_mm(config: &Config) -> f64 {
     config.motion.tolerance_mm + following_mm(config) + missing_mm
 }
 
+/// Slowest vertical speed of lowering and lifting, mm/s; 0 if only the limits of all motion apply. A lift by an output takes
+/// the pen's time, less the part of it that a rounded corner saves.
+fn pen_speed_mm_s(config: &Config) -> f64 {
+    let (motion, paper, pen) = (&config.motion, &config.paper, &config.pen);
+    let slowest_ms = f64::from(pen.down_ms.max(pen.up_ms));
+    if pen.kind != PenLiftKind::Output || slowest_ms == 0.0 {
+        return motion.pen_speed_mm_s;
+    }
+    let lift_mm = (paper.pen_lift_mm - motion.travel_tolerance_mm).max(0.1 * paper.pen_lift_mm);
+    let by_pen_mm_s = lift_mm * 1e3 / slowest_ms;
+    match motion.pen_speed_mm_s > 0.0 {
+        true => by_pen_mm_s.min(motion.pen_speed_mm_s),
+        false => by_pen_mm_s,
+    }
+}
+
 /// The configuration in the monitor's numbers.
 fn cell(config: &Config) -> monitor::Cell {
     let usual = monitor::Cell::default();
     let (motion, paper) = (&config.motion, &config.paper);
     let ranges_rad = robot::ranges_rad(&config.geometry);
+    // The height of a machine without an axis for it counts as a joint that stands.
+    let axes = usize::from(config.bus.drives).max(MAIN_AXES);
     let joints = config
         .axes
         .iter()
+        .take(axes)
         .enumerate()
         .map(|(axis, settings)| monitor::JointLimits {
             range_rad: ranges_rad[axis],
@@ -553,10 +601,12 @@ fn cell(config: &Config) -> monitor::Cell {
             pressing_depth_mm: paper.pressing_depth_mm,
             pen_spring_mm: PEN_SPRING_MM,
         },
+        has_height_axis: has_height_axis(config),
+        always_touches: config.pen.kind == PenLiftKind::None,
         tool_speed_mm_s: motion.speed_mm_s,
         travel_speed_mm_s: motion.travel_speed_mm_s,
         tool_acceleration_mm_s2: motion.acceleration_mm_s2,
-        pen_speed_mm_s: motion.pen_speed_mm_s,
+        pen_speed_mm_s: pen_speed_mm_s(config),
         pen_acceleration_mm_s2: motion.pen_acceleration_mm_s2,
         pen_dwell_ms: motion.pen_dwell_ms.into(),
         tolerance_mm: motion.tolerance_mm,

@@ -21,6 +21,7 @@ pub mod generate;
 mod ink;
 mod judge;
 mod line;
+pub mod machine;
 mod operator;
 mod robot;
 mod shrink;
@@ -35,6 +36,7 @@ pub use emulated::{for_the_image, run_image};
 use episode::Episode;
 use etherpen::config::Config;
 use generate::Profile;
+use machine::Machine;
 use operator::Operator;
 pub use robot::robot as monitored;
 use serde::Serialize;
@@ -154,8 +156,10 @@ fn caught(episode: impl FnOnce() -> Run) -> Run {
 }
 
 /// What a campaign has to do.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Plan {
+    /// The machine of all episodes.
+    pub machine: Machine,
     /// First seed.
     pub first: u64,
     /// Seed behind the last one.
@@ -217,7 +221,7 @@ pub fn campaign(
             if seed >= plan.end || over {
                 return;
             }
-            let run = run(&generate::episode(seed, plan.profile));
+            let run = run(&generate::episode(&plan.machine, seed, plan.profile));
             let failed = run.failure.map(|failure| Failed { seed, failure });
             let mut summary = lock();
             summary.episodes += 1;

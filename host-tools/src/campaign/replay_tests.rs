@@ -1,6 +1,7 @@
 //! Recordings of faults that were injected at random replay to the same millisecond; changed ones do not.
 
 use super::generate::{Profile, episode};
+use super::machine::{DEFAULT_MACHINE, Machine};
 use super::operator::Operator;
 use super::{LIMIT_MS, prepared};
 use crate::black_box::contents::{Contents, SampleEntry};
@@ -42,7 +43,8 @@ impl Host for Recorded<'_> {
 
 /// The recording of a seed's first fault, if it has one, and its configuration.
 fn first_fault(seed: u64) -> Option<(Contents, Config)> {
-    let episode = episode(seed, Profile::All);
+    let machine = Machine::load(DEFAULT_MACHINE).ok()?;
+    let episode = episode(&machine, seed, Profile::All);
     let (config, mut world) = prepared(&episode).ok()?;
     let mut host = Recorded {
         operator: Operator::new(&episode, config.clone(), world.clone()),

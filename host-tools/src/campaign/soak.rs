@@ -6,6 +6,7 @@
 use super::chance::Chance;
 use super::episode::{Episode, Event, Figure, What, Wish};
 use super::generate::{Profile, what};
+use super::machine::{DEFAULT_MACHINE, Machine};
 use super::operator::Operator;
 use super::trouble;
 use super::world::World;
@@ -104,10 +105,11 @@ fn portrait() -> Figure {
 
 fn episode(seed: u64, duration_ms: u32, portrait: Figure) -> Episode {
     let mut chance = Chance::new(seed);
+    let machine = Machine::load(DEFAULT_MACHINE).expect("a bundled machine");
     let (mut events, mut at_ms) = (Vec::new(), 0);
     while at_ms < duration_ms {
         for _ in 0..1 + chance.below(3) {
-            let what = what(&mut chance, Profile::All);
+            let what = what(&mut chance, &machine, Profile::All);
             let words = match &what {
                 What::Fault(words) => trouble::end(words),
                 _ => None,
@@ -124,6 +126,7 @@ fn episode(seed: u64, duration_ms: u32, portrait: Figure) -> Episode {
     events.sort_by_key(|event| event.at_ms);
     Episode {
         found: String::new(),
+        machine: machine.name,
         seed,
         duration_ms,
         patience_ms: 300,

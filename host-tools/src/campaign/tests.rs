@@ -1,35 +1,72 @@
 //! Campaigns that find nothing, and ones that must find something.
 
 use super::episode::{Event, Figure, What, Wish};
-use super::generate::{Profile, episode};
+use super::generate::Profile;
+use super::machine::DEFAULT_MACHINE;
 use super::*;
+use crate::settings::machines::MACHINES;
 use std::collections::BTreeMap;
 
 /// Seeds of each profile that every test run tries.
 const SEEDS: std::ops::Range<u64> = 0..6;
+/// Seeds of each machine but the default one that every test run tries, and profiles.
+const SEEDS_OF_A_MACHINE: std::ops::Range<u64> = 0..2;
+const PROFILES_OF_A_MACHINE: [Profile; 6] = [
+    Profile::Quiet,
+    Profile::Bus,
+    Profile::Operator,
+    Profile::Drives,
+    Profile::Board,
+    Profile::Link,
+];
 /// Least speed of an episode, as a part of the speed of a drawing without operator and monitor.
 const SPEED_MIN: f64 = 0.7;
+
+fn machine(name: &str) -> Machine {
+    Machine::load(name).expect("a bundled machine")
+}
+
+/// The episode of a seed on the default machine.
+fn episode(seed: u64, profile: Profile) -> Episode {
+    generate::episode(&machine(DEFAULT_MACHINE), seed, profile)
+}
+
+/// Runs seeds of a profile on a machine; none may find anything.
+fn assert_nothing_is_found(machine: &Machine, profile: Profile, seeds: std::ops::Range<u64>) {
+    let plan = Plan {
+        machine: machine.clone(),
+        first: seeds.start,
+        end: seeds.end,
+        profile,
+        limit_ms: None,
+        jobs: 2,
+    };
+    let summary = campaign(&plan, &run, &AtomicBool::new(false), &|_, _| {});
+    let name = &machine.name;
+    println!("{name}, {profile:?}: {} ms of robot time", summary.virtual_ms);
+    assert_eq!(summary.episodes, seeds.end - seeds.start);
+    let failed: Vec<String> = summary
+        .failed
+        .iter()
+        .map(|failed| format!("{}: {}", failed.seed, failed.failure))
+        .collect();
+    assert!(failed.is_empty(), "{name}, {profile:?}: {failed:#?}");
+}
 
 #[test]
 fn the_first_seeds_of_every_profile_find_nothing() {
     use clap::ValueEnum;
     for profile in Profile::value_variants() {
-        let plan = Plan {
-            first: SEEDS.start,
-            end: SEEDS.end,
-            profile: *profile,
-            limit_ms: None,
-            jobs: 2,
-        };
-        let summary = campaign(&plan, &run, &AtomicBool::new(false), &|_, _| {});
-        println!("{profile:?}: {} ms of robot time", summary.virtual_ms);
-        assert_eq!(summary.episodes, SEEDS.end - SEEDS.start);
-        let failed: Vec<String> = summary
-            .failed
-            .iter()
-            .map(|failed| format!("{}: {}", failed.seed, failed.failure))
-            .collect();
-        assert!(failed.is_empty(), "{profile:?}: {failed:#?}");
+        assert_nothing_is_found(&machine(DEFAULT_MACHINE), *profile, SEEDS);
+    }
+}
+
+#[test]
+fn the_first_seeds_of_every_bundled_machine_find_nothing() {
+    for bundled in MACHINES.iter().filter(|bundled| bundled.name != DEFAULT_MACHINE) {
+        for profile in PROFILES_OF_A_MACHINE {
+            assert_nothing_is_found(&machine(bundled.name), profile, SEEDS_OF_A_MACHINE);
+        }
     }
 }
 
@@ -89,6 +126,7 @@ fn an_episode_is_nearly_as_fast_as_a_drawing_alone() {
     let virtual_s = alone.cost.expect("virtual time").virtual_s;
     let drawing = Episode {
         found: String::new(),
+        machine: DEFAULT_MACHINE.to_owned(),
         seed: 1,
         duration_ms: 60_000,
         patience_ms: 10,

@@ -1,6 +1,7 @@
 //! Random faults, in the words of the segment's script.
 
 use super::chance::Chance;
+use super::machine::Chain;
 
 /// Longest duration of a fault that ends by itself, ms.
 const LASTS_MAX_MS: u32 = 1_500;
@@ -31,8 +32,10 @@ pub(super) fn of_frames(chance: &mut Chance) -> String {
 }
 
 /// A fault of the chain or of a slave.
-pub(super) fn of_the_bus(chance: &mut Chance) -> String {
-    let slave = 1 + chance.below(4);
+pub(super) fn of_the_bus(chance: &mut Chance, chain: &Chain) -> String {
+    let number = chance.below(chain.slaves as u64);
+    let slave = 1 + number;
+    let drive = chain.drive(number);
     let lasts_ms = chance.milliseconds(LASTS_MAX_MS);
     let code = chance.one_of(&CODES);
     match chance.below(14) {
@@ -42,7 +45,7 @@ pub(super) fn of_the_bus(chance: &mut Chance) -> String {
         3 => format!("crc {} {}", slave - 1, 1 + chance.below(100)),
         4 => format!("remove {slave}"),
         5 => format!("insert {slave}"),
-        6 => format!("swap {slave} {}", chance.one_of(&["ax2000", "cia402"])),
+        6 => format!("swap {drive} {}", chance.one_of(&["ax2000", "cia402"])),
         7 => format!("power {slave} {lasts_ms}"),
         8 => format!("retreat {slave} {code}"),
         9 => format!("fall {slave} {} {code}", chance.one_of(&["init", "preop", "safeop"])),
@@ -52,16 +55,17 @@ pub(super) fn of_the_bus(chance: &mut Chance) -> String {
             "sii {slave} {}",
             chance.one_of(&["busy", "refused", "blank", "damaged", "owned", "whole"])
         ),
-        _ => of_a_mailbox(chance, slave, lasts_ms),
+        _ => of_a_mailbox(chance, drive, lasts_ms),
     }
 }
 
-/// The first of two terminals behind the drives, from 1.
-pub(super) const TERMINAL: u64 = 5;
-
-/// A fault of a terminal behind the drives, or of the outputs on the way to all slaves.
-pub(super) fn of_a_terminal(chance: &mut Chance) -> String {
-    let slave = TERMINAL + chance.below(2);
+/// A fault of a terminal, or of the outputs on the way to all slaves. A chain without terminals counts as one with two behind
+/// its drives.
+pub(super) fn of_a_terminal(chance: &mut Chance, chain: &Chain) -> String {
+    let slave = match chain.terminals.as_slice() {
+        [] => chain.slaves as u64 + 1 + chance.below(2),
+        terminals => chance.one_of(terminals) as u64,
+    };
     let lasts_ms = chance.milliseconds(LASTS_MAX_MS);
     let code = chance.one_of(&CODES);
     match chance.below(8) {
@@ -76,17 +80,28 @@ pub(super) fn of_a_terminal(chance: &mut Chance) -> String {
     }
 }
 
-/// A fault of the cables of the second and the third drive, of their supply, or of the outputs on the way to them.
-pub(super) fn of_exchanged_cables(chance: &mut Chance) -> String {
-    let slave = 2 + chance.below(2);
+/// A fault of the cables of the second and the third drive, of the first two where there are no more, of their supply, or of
+/// the outputs on the way to them.
+pub(super) fn of_exchanged_cables(chance: &mut Chance, chain: &Chain) -> String {
+    let first = u64::from(chain.drives.len() > 2);
+    let [one, other] = [first, first + 1].map(|number| chain.drive(number));
+    let slave = [one, other][chance.below(2) as usize];
     let lasts_ms = chance.milliseconds(LASTS_MAX_MS);
     match chance.below(8) {
-        0 | 1 => "recable 2 3".into(),
+        0 | 1 => format!("recable {one} {other}"),
         2 | 3 => format!("power {slave} {lasts_ms}"),
         4 => format!("cut {}", slave - 1),
         5 => "join".into(),
         6 => format!("deaf {slave} {lasts_ms}"),
         _ => format!("mute {lasts_ms}"),
+    }
+}
+
+impl Chain {
+    /// A drive by its number, from 0; numbers behind the last one begin anew.
+    fn drive(&self, number: u64) -> u64 {
+        let index = number % (self.drives.len() as u64).max(1);
+        self.drives.get(index as usize).map_or(1, |slave| *slave as u64)
     }
 }
 
@@ -123,8 +138,9 @@ fn of_a_mailbox(chance: &mut Chance, slave: u64, lasts_ms: u32) -> String {
 }
 
 /// A fault of a drive or of its position feedback.
-pub(super) fn of_a_drive(chance: &mut Chance) -> String {
-    let slave = 1 + chance.below(4);
+pub(super) fn of_a_drive(chance: &mut Chance, chain: &Chain) -> String {
+    let number = chance.below(chain.drives.len() as u64);
+    let slave = chain.drive(number);
     let lasts_ms = chance.milliseconds(LASTS_MAX_MS);
     match chance.below(9) {
         0 => format!("fault {slave} 0x2310"),
@@ -138,30 +154,36 @@ pub(super) fn of_a_drive(chance: &mut Chance) -> String {
         }
         6 => format!("reverse {slave} {lasts_ms}"),
         7 => format!("noise {slave} {} {lasts_ms}", chance.scaled(1.0, 100_000.0) as u32),
-        _ => format!("exchange {slave} {} {lasts_ms}", slave % 4 + 1),
+        _ => format!("exchange {slave} {} {lasts_ms}", chain.drive(number + 1)),
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::campaign::machine::Machine;
     use crate::cell::Script;
+    use crate::settings::machines::MACHINES;
 
     #[test]
     fn all_words_are_those_of_the_script() {
-        let mut chance = Chance::new(1);
-        for _ in 0..3_000 {
-            for words in [
-                of_frames(&mut chance),
-                of_the_bus(&mut chance),
-                of_a_drive(&mut chance),
-                of_a_terminal(&mut chance),
-                of_exchanged_cables(&mut chance),
-            ] {
-                let script: Script = format!("ms 1 {words}")
-                    .parse()
-                    .unwrap_or_else(|cause| panic!("{words}: {cause}"));
-                script.check(6).unwrap_or_else(|cause| panic!("{words}: {cause}"));
+        for machine in MACHINES {
+            let chain = &Machine::load(machine.name).expect("a bundled machine").chain;
+            let mut chance = Chance::new(1);
+            for _ in 0..1_000 {
+                for words in [
+                    of_frames(&mut chance),
+                    of_the_bus(&mut chance, chain),
+                    of_a_drive(&mut chance, chain),
+                    of_a_terminal(&mut chance, chain),
+                    of_exchanged_cables(&mut chance, chain),
+                ] {
+                    let script: Script = format!("ms 1 {words}")
+                        .parse()
+                        .unwrap_or_else(|cause| panic!("{words}: {cause}"));
+                    let slaves = chain.slaves + if chain.terminals.is_empty() { 2 } else { 0 };
+                    script.check(slaves).unwrap_or_else(|cause| panic!("{words}: {cause}"));
+                }
             }
         }
     }

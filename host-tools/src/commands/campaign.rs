@@ -2,6 +2,7 @@
 
 use crate::campaign::episode::Episode;
 use crate::campaign::generate::{Profile, episode};
+use crate::campaign::machine::{DEFAULT_MACHINE, Machine};
 use crate::campaign::{self, Failed, Failure, Plan, Progress, Run};
 use crate::error::{ProgramError, code};
 use crate::output_file::{make_folder, write_text};
@@ -21,6 +22,9 @@ pub struct Arguments {
     /// Which faults there are.
     #[arg(long, value_enum, default_value = "all")]
     profile: Profile,
+    /// Machine: one of the bundled ones, or a configuration file.
+    #[arg(long, value_name = "irb340|gantry|corexy|scara|linear-delta|FILE", default_value = DEFAULT_MACHINE)]
+    machine: String,
     /// Hours of robot time after which no further episode begins; further seeds follow behind the last one until then.
     #[arg(long, value_name = "H", value_parser = hours)]
     hours: Option<f64>,
@@ -28,7 +32,7 @@ pub struct Arguments {
     #[arg(long, value_name = "N")]
     jobs: Option<usize>,
     /// Run the episodes of these test-case files instead of seeds.
-    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["seeds", "hours", "profile"])]
+    #[arg(long, value_name = "FILE", num_args = 1.., conflicts_with_all = ["seeds", "hours", "profile", "machine"])]
     replay: Vec<PathBuf>,
     /// Make each failing episode smaller and write it into this folder as a test case.
     #[arg(long, value_name = "DIR", conflicts_with = "emulated")]
@@ -61,6 +65,8 @@ fn hours(text: &str) -> Result<f64, String> {
 /// Result on stdout.
 #[derive(Serialize)]
 struct Report {
+    /// `null` for test-case files, each of which names its own.
+    machine: Option<String>,
     episodes: u64,
     virtual_hours: f64,
     /// Virtual time for each second of this run, all jobs together.
@@ -102,6 +108,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let count = failures.len() as u64;
     if arguments.json {
         super::print_json(&Report {
+            machine: arguments.replay.is_empty().then(|| arguments.machine.clone()),
             episodes,
             virtual_hours,
             times_real_time,
@@ -139,7 +146,9 @@ fn of_seeds(arguments: &Arguments) -> Result<Outcome, ProgramError> {
     let run = runner(arguments)?;
     let (first, end) = arguments.seeds;
     let limit_ms = arguments.hours.map(|hours| (hours * 3.6e6) as u64);
+    let machine = Machine::load(&arguments.machine).map_err(|cause| ProgramError::new(code::USAGE, cause))?;
     let plan = Plan {
+        machine,
         first,
         end: if limit_ms.is_some() { u64::MAX } else { end },
         profile: arguments.profile,
@@ -155,7 +164,7 @@ fn of_seeds(arguments: &Arguments) -> Result<Outcome, ProgramError> {
     let mut failures = Vec::new();
     for Failed { seed, failure } in &summary.failed {
         let case = match &arguments.cases {
-            Some(folder) => Some(write_case(folder, *seed, plan.profile)?),
+            Some(folder) => Some(write_case(folder, &plan, *seed)?),
             None => None,
         };
         failures.push(ReportedFailure {
@@ -225,11 +234,19 @@ fn replay_seed(seed: u64, arguments: &Arguments) -> String {
         .profile
         .to_possible_value()
         .map_or_else(String::new, |value| value.get_name().to_owned());
-    let emulated = emulated(arguments);
+    let (machine, emulated) = (named_machine(arguments), emulated(arguments));
     format!(
-        "etherpen campaign --seeds {seed}..{} --profile {profile}{emulated}",
+        "etherpen campaign --seeds {seed}..{} --profile {profile}{machine}{emulated}",
         seed + 1
     )
+}
+
+/// The option for another machine than the default one, for a command line.
+fn named_machine(arguments: &Arguments) -> String {
+    match arguments.machine.as_str() {
+        DEFAULT_MACHINE => String::new(),
+        name => format!(" --machine {name}"),
+    }
 }
 
 /// The option for the image, if it was given, for a command line.
@@ -242,9 +259,9 @@ fn replay_file(file: &Path) -> String {
 }
 
 /// Makes a failing episode smaller and writes it; returns its file.
-fn write_case(folder: &Path, seed: u64, profile: Profile) -> Result<PathBuf, ProgramError> {
+fn write_case(folder: &Path, plan: &Plan, seed: u64) -> Result<PathBuf, ProgramError> {
     make_folder(folder)?;
-    let whole = episode(seed, profile);
+    let whole = episode(&plan.machine, seed, plan.profile);
     let tries = ProgressBar::new_spinner();
     let shrunk = campaign::shrink(&whole, &mut |count| {
         tries.set_message(format!("seed {seed}: {count} smaller episodes tried"))

@@ -280,6 +280,11 @@ pub fn io_error(error: &IoError) -> String {
             "axis {}: its home switch is not an input with role = \"home\" in [[io]]",
             one(axis)
         ),
+        IoError::LimitAxis { io, axes } => format!(
+            "io {}: the role limit needs axis = 0 to {}, the axis of the limit switch, and no other role has an axis",
+            one(io),
+            axes.saturating_sub(1)
+        ),
         IoError::Place { io } => format!("io {}: give either bit or object", one(io)),
         IoError::Bit { io, expected, actual } => {
             format!(

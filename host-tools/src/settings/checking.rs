@@ -196,6 +196,7 @@ fn io_line(places: &Places<'_>, cause: &IoError) -> Option<usize> {
         IoError::Name { io }
         | IoError::Slave { io, .. }
         | IoError::Place { io }
+        | IoError::LimitAxis { io, .. }
         | IoError::Bit { io, .. }
         | IoError::Role { io, .. } => places.of_io(io),
         IoError::HomeSwitch { axis } => places.of_axis(axis.into(), &["home"]),

@@ -45,6 +45,18 @@ impl Leg {
         }
     }
 
+    /// The leg as it counts where no axis moves the tool up and down: all of it at one height, with the part on which the
+    /// pen may touch as before.
+    pub(crate) fn in_plan(self, plan_z_mm: Option<f64>) -> Self {
+        let Some(z_mm) = plan_z_mm else { return self };
+        let at_height = |[x, y, _]: Vector| [x, y, z_mm];
+        let touch = self.touch;
+        Self {
+            touch,
+            ..Self::new(at_height(self.from), at_height(self.to), self.pen_down, z_mm)
+        }
+    }
+
     /// A point of the leg, from 0 to 1.
     pub(crate) fn at(&self, part: f64) -> Vector {
         add(self.from, scale(self.along, part))
@@ -103,6 +115,17 @@ impl Leg {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn in_plan_view_only_the_distance_beside_the_leg_counts_and_the_pen_touches_where_it_did() {
+        let lowering = Leg::new([1.0, 2.0, -847.0], [1.0, 2.0, -850.0], false, -849.7);
+        assert_eq!(lowering.in_plan(None), lowering);
+        let travel = Leg::new([0.0, 0.0, -847.0], [9.0, 0.0, -847.0], false, -849.7).in_plan(Some(-850.0));
+        assert!(!travel.touches());
+        assert!((travel.distance_squared(&[4.0, 0.5, -850.0]) - 0.25).abs() < 1e-12);
+        let lowering = lowering.in_plan(Some(-850.0));
+        assert!((lowering.touch_distance_squared(&[1.0, 2.5, -850.0]) - 0.25).abs() < 1e-12);
+    }
 
     #[test]
     fn distances_are_to_the_line_between_the_ends() {

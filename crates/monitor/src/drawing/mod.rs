@@ -273,7 +273,7 @@ impl Drawing {
             return;
         };
         // The tool may be as much lower as it follows; on a flat leg the pen then leaves the paper much later.
-        let leg = Leg::new(from, to, false, bounds.touch_z_mm + cell.following_mm);
+        let leg = Leg::new(from, to, false, bounds.touch_z_mm + cell.following_mm).in_plan(bounds.plan_z_mm);
         if let Some(single) = self.singles.get_mut(self.single) {
             *single = Some((command, leg));
         }
@@ -296,7 +296,8 @@ impl Drawing {
         let Ok(number) = u32::try_from(self.legs.len()) else {
             return;
         };
-        self.legs.push(Leg::new(from, to, pen_down, bounds.touch_z_mm));
+        self.legs
+            .push(Leg::new(from, to, pen_down, bounds.touch_z_mm).in_plan(bounds.plan_z_mm));
         let half_cells = (to[0] - from[0]).hypot(to[1] - from[1]) / (0.5 * CELL_MM);
         if half_cells.is_nan() || half_cells >= LONG_HALF_CELLS {
             self.is_too_much |= self.long.len() >= LONG_MAX;

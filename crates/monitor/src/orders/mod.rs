@@ -34,6 +34,8 @@ pub(crate) enum Order {
     Path,
     /// A motion that was cancelled.
     Ending,
+    /// The search for the home switches.
+    Search,
 }
 
 /// What the operator ordered, as far as it is known.
@@ -52,6 +54,7 @@ pub(crate) struct Orders {
     /// Since when the motion has to come to rest, and whether for a silent host.
     held: Option<(u64, bool)>,
     moving: Pending,
+    searching: Pending,
     jogging: Pending,
     path: Pending,
     holding: Pending,
@@ -107,6 +110,9 @@ impl Orders {
         }
         if self.moving.take_lost(now_ms) {
             self.begin(Order::Single);
+        }
+        if self.searching.take_lost(now_ms) {
+            self.begin(Order::Search);
         }
         let is_path_lost = self.path.take_lost(now_ms);
         if is_path_lost {
@@ -166,6 +172,10 @@ impl Orders {
     fn command(&mut self, cell: &Cell, bounds: &Bounds, now_ms: u64, command: Command) {
         match command {
             Command::Home | Command::HomeAt { .. } => self.home_ordered_ms = Some(now_ms),
+            Command::Search => {
+                self.home_ordered_ms = Some(now_ms);
+                self.searching.ask(now_ms);
+            }
             Command::Enable if self.needs_acknowledgement && !self.acknowledged => {}
             Command::Enable => self.enabling.ask(now_ms),
             Command::Disable => self.disabling.ask(now_ms),
@@ -184,7 +194,12 @@ impl Orders {
         }
         if matches!(
             command,
-            Command::Jog { .. } | Command::Move { .. } | Command::Pen { .. } | Command::Draw { .. } | Command::Resume
+            Command::Jog { .. }
+                | Command::Move { .. }
+                | Command::Pen { .. }
+                | Command::Draw { .. }
+                | Command::Resume
+                | Command::Search
         ) {
             self.commanded_ms = now_ms;
         }
@@ -224,6 +239,7 @@ impl Orders {
         if mode.stands() && !is_recent {
             self.begin(Order::None);
             self.moving.forget();
+            self.searching.forget();
             self.path.forget();
             self.jogging.forget();
         }
@@ -271,9 +287,15 @@ impl Orders {
                     self.held.get_or_insert((now_ms, false));
                 }
             }
+            Command::Search => {
+                if self.searching.answer() {
+                    self.begin(Order::Search);
+                }
+            }
             Command::Cancel => {
                 if self.cancelling.answer() && self.order != Order::None {
-                    self.begin(Order::Ending);
+                    let is_search = self.order == Order::Search;
+                    self.begin(if is_search { Order::Search } else { Order::Ending });
                     self.held = Some((now_ms, false));
                 }
             }
@@ -291,6 +313,7 @@ impl Orders {
             Command::Disable => &mut self.disabling,
             Command::Jog { .. } => &mut self.jogging,
             Command::Move { .. } | Command::Pen { .. } => &mut self.moving,
+            Command::Search => &mut self.searching,
             Command::Draw { .. } | Command::Resume => &mut self.path,
             Command::Hold => &mut self.holding,
             Command::Cancel => &mut self.cancelling,
@@ -324,7 +347,13 @@ impl Orders {
         self.is_enabled = false;
         self.begin(Order::None);
         self.jog_ends_ms = None;
-        for pending in [&mut self.enabling, &mut self.moving, &mut self.jogging, &mut self.path] {
+        for pending in [
+            &mut self.enabling,
+            &mut self.moving,
+            &mut self.searching,
+            &mut self.jogging,
+            &mut self.path,
+        ] {
             pending.forget();
         }
         if cause != StopCause::Input || self.stop.is_none() {
@@ -352,14 +381,22 @@ impl Orders {
 
     /// Whether an order permits motion now.
     pub(crate) fn may_move(&self, bounds: &Bounds, now_ms: u64) -> bool {
-        if !(self.may_have_power() && self.may_be_homed()) {
+        if !self.may_have_power() {
             return false;
+        }
+        let is_searched = match (self.order, self.held) {
+            (Order::Search, None) => true,
+            (Order::Search, Some((since_ms, _))) => now_ms <= since_ms.saturating_add(bounds.hold_ms),
+            _ => self.searching.is_waiting(),
+        };
+        if is_searched || !self.may_be_homed() {
+            return is_searched;
         }
         let is_asked = self.moving.is_waiting() || self.path.is_waiting();
         let is_ordered = match (self.order, self.held) {
             (Order::Single, _) | (Order::Path, None) => true,
             (Order::Path | Order::Ending, Some((since_ms, _))) => now_ms <= since_ms.saturating_add(bounds.hold_ms),
-            (Order::None | Order::Jog | Order::Ending, _) => false,
+            (Order::None | Order::Jog | Order::Ending | Order::Search, _) => false,
         };
         let is_jogged = self.jog_ends_ms.is_some_and(|ends_ms| now_ms <= ends_ms);
         is_asked || is_ordered || is_jogged

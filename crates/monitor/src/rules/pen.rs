@@ -23,7 +23,7 @@ pub(crate) struct Pen {
 
 impl Pen {
     pub(crate) fn check(&mut self, scene: &Scene<'_>) -> Finding {
-        let Some(tool) = scene.motion.tool else {
+        let Some(tool) = scene.motion.tool.filter(|_| !scene.cell.always_touches) else {
             return Ok(());
         };
         let Some(more_mm) = scene.more_mm else {

@@ -79,6 +79,11 @@ impl Operator<'_> {
             Mode::Startup | Mode::BusConfiguring | Mode::DrivesOff if !is_configured => self.configure(),
             Mode::Startup | Mode::BusConfiguring | Mode::Stopping | Mode::Homing | Mode::Moving => {}
             Mode::DrivesOff if !homed && self.raise_parked() => {}
+            // The axes go to their switches with power.
+            Mode::DrivesOff if self.has_switches => self.say(Command::Enable),
+            Mode::Unreferenced | Mode::Idle if self.has_switches && (!homed || self.judge.asks_for_homing()) => {
+                self.say(Command::Home);
+            }
             Mode::DrivesOff | Mode::Unreferenced if !homed || self.judge.asks_for_homing() => self.home(),
             Mode::DrivesOff => self.say(Command::Enable),
             Mode::Unreferenced => self.say(Command::Disable),
@@ -96,7 +101,8 @@ impl Operator<'_> {
     fn raise_parked(&mut self) -> bool {
         let slaves = self.status.iter().flat_map(|status| &status.slaves);
         let is_below = |al_state: u8| (AlState::Init as u8..AlState::Operational as u8).contains(&al_state);
-        let parked = slaves.enumerate().find(|(_, slave)| is_below(slave.al_state));
+        let used = slaves.enumerate().filter(|(place, _)| self.chain.is_used(place + 1));
+        let parked = used.into_iter().find(|(_, slave)| is_below(slave.al_state));
         let Some((slave, _)) = parked.filter(|_| self.stage != Stage::Free) else {
             return false;
         };
@@ -141,7 +147,12 @@ impl Operator<'_> {
     /// Homes: at the marks if the joints are there, else at the pose that the operator measures.
     pub(super) fn home(&mut self) {
         let angles_rad = self.world.truth().angles_rad;
-        let marks = self.config.axes.iter().map(|axis| axis.sync_angle_rad);
+        let marks = self
+            .config
+            .axes
+            .iter()
+            .take(self.chain.drives.len())
+            .map(|axis| axis.sync_angle_rad);
         let at_marks = angles_rad
             .iter()
             .zip(marks)
@@ -192,7 +203,7 @@ impl Operator<'_> {
                 let pose = JointAngles(self.world.truth().angles_rad);
                 for command in commands {
                     self.put_beside(match command {
-                        Command::Home => Command::HomeAt { pose, position: None },
+                        Command::Home if !self.has_switches => Command::HomeAt { pose, position: None },
                         other => *other,
                     });
                 }
@@ -225,7 +236,7 @@ impl Operator<'_> {
         }
         let inked = self.world.look(|cell, _| ink::points(cell.ink()));
         self.stage = Stage::Testing { since_ms, inked };
-        self.draw(&test_figure());
+        self.draw(&test_figure(&self.config.paper));
     }
 
     pub(super) fn repeat_jog(&mut self) {

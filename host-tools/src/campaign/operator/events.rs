@@ -104,12 +104,11 @@ impl Operator<'_> {
         self.down.heal();
         self.world.spare_frames();
         self.inject("join");
-        let drives = self.config.axes.len();
-        for slave in 1..=drives.max(self.config.terminal_places().last().map_or(0, |place| place + 1)) {
+        for slave in 1..=self.chain.slaves {
             self.inject(&format!("insert {slave}"));
             self.inject(&format!("sii {slave} whole"));
         }
-        for slave in 1..=drives {
+        for slave in self.chain.drives.clone() {
             self.inject(&format!("stuck {slave} 0"));
         }
         // The last exchange is undone first.
@@ -118,7 +117,11 @@ impl Operator<'_> {
         }
         self.recabled.clear();
         for slave in std::mem::take(&mut self.swapped) {
-            let own = self.config.axes.get(slave - 1).map(product);
+            let own = self
+                .chain
+                .axis(slave)
+                .and_then(|axis| self.config.axes.get(axis))
+                .map(product);
             let name = if own == Some(Product::Cia402) {
                 "cia402"
             } else {

@@ -13,6 +13,7 @@ use super::episode::{Episode, Figure};
 use super::ink;
 use super::judge::{Judge, ink_limit_mm};
 use super::line::Line;
+use super::machine::{Chain, has_switches};
 use super::world::World;
 use super::{Failure, Rule};
 use crate::black_box;
@@ -23,7 +24,7 @@ use crate::simulation::{Host, Surroundings};
 use etherpen::application::Mode;
 use etherpen::black_box::Memory;
 use etherpen::board::PortState;
-use etherpen::config::Config;
+use etherpen::config::{Config, Paper};
 use etherpen::link::frame::Decoder;
 use etherpen::link::message::PathAck;
 use etherpen::messages::{Command, PathVertex, Status};
@@ -68,6 +69,8 @@ pub(super) struct Operator<'e> {
     config: Config,
     world: World,
     judge: Judge,
+    chain: Chain,
+    has_switches: bool,
     session: Session,
     connections: u32,
     up: Line,
@@ -102,10 +105,12 @@ pub(super) struct Operator<'e> {
     failure: Option<Failure>,
 }
 
-/// The drawing with which a healed machine has to show that it draws.
-pub(super) fn test_figure() -> Figure {
+/// The drawing in the middle of the sheet with which a healed machine has to show that it draws.
+pub(super) fn test_figure(paper: &Paper) -> Figure {
+    let [centre_x_um, centre_y_um] = paper.centre_mm.map(|mm| (mm * 1e3).round() as i32);
     let zigzag = |y_um: i32| {
-        let points = (0..6).map(|leg| [if leg % 2 == 0 { -6_000 } else { 6_000 }, y_um + 1_500 * leg]);
+        let x_um = |leg: i32| if leg % 2 == 0 { -6_000 } else { 6_000 };
+        let points = (0..6).map(|leg| [centre_x_um + x_um(leg), centre_y_um + y_um + 1_500 * leg]);
         points.collect()
     };
     Figure(vec![zigzag(-9_000), zigzag(3_000)])
@@ -117,6 +122,8 @@ impl<'e> Operator<'e> {
         let mut operator = Self {
             episode,
             judge,
+            chain: Chain::new(&config),
+            has_switches: has_switches(&config),
             world,
             session: Session::new(1),
             connections: 0,

@@ -182,6 +182,7 @@ pub fn fault(fault: &Fault) -> String {
         Fault::StopInput { io, role, cause } => {
             let what = match role {
                 IoRole::Door => "the door",
+                IoRole::Limit => "the limit switch",
                 _ => "the emergency stop",
             };
             match cause {
@@ -192,6 +193,12 @@ pub fn fault(fault: &Fault) -> String {
                 ),
             }
         }
+        Fault::LimitSwitch { axis, io } => format!(
+            "axis {} ran onto its limit switch (io {}), or its wire is broken; acknowledge, switch the drives on and jog the \
+             axis off the switch",
+            one(axis),
+            one(io)
+        ),
         Fault::HomingFailed { axis, failure } => {
             let (what, hint) = match failure {
                 SearchFailure::NeverOpens => (
