@@ -125,6 +125,13 @@ impl Config {
         }
     }
 
+    /// Whether an axis is homed by a switch.
+    #[must_use]
+    pub fn has_home_switches(&self) -> bool {
+        let mut used = self.axes.iter().take(self.bus.drives.into());
+        used.any(|axis| axis.home.io.is_some())
+    }
+
     /// Checks the named inputs and outputs, the axes' home switches among them, and the terminals.
     ///
     /// # Errors

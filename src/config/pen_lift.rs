@@ -56,6 +56,12 @@ impl PenLift {
         ]
     }
 
+    /// The part of the lift, mm, that takes the time of the pen: the corner between lift and travel may be rounded by the travel
+    /// tolerance, which is not counted.
+    pub(crate) fn lift_mm(&self, motion: &MotionLimits, paper: &Paper) -> f64 {
+        (paper.pen_lift_mm - motion.travel_tolerance_mm).max(0.1 * paper.pen_lift_mm)
+    }
+
     /// The limits of motion with the vertical speed at which lowering and lifting take as long as the pen does. The corner
     /// between lift and travel may be rounded by the travel tolerance, which is not counted as lift.
     pub(super) fn within(&self, motion: &MotionLimits, paper: &Paper) -> MotionLimits {
@@ -63,8 +69,7 @@ impl PenLift {
         if self.kind != PenLiftKind::Output || slowest_ms == 0 {
             return *motion;
         }
-        let lift_mm = (paper.pen_lift_mm - motion.travel_tolerance_mm).max(0.1 * paper.pen_lift_mm);
-        let speed_mm_s = lift_mm * 1_000.0 / f64::from(slowest_ms);
+        let speed_mm_s = self.lift_mm(motion, paper) * 1_000.0 / f64::from(slowest_ms);
         let configured = motion.pen_speed_mm_s;
         MotionLimits {
             pen_speed_mm_s: if configured > 0.0 {

@@ -39,8 +39,8 @@ impl Coordinator<'_> {
         // An axis without a drive has no place.
         let used = usize::from(config.bus.drives);
         self.places = core::array::from_fn(|axis| if axis < used { axis as u8 } else { u8::MAX });
-        let has_switches = config.axes.iter().take(used).any(|axis| axis.home.io.is_some());
-        self.application.configured(config.bus.host_silence_ms, has_switches);
+        self.application
+            .configured(config.bus.host_silence_ms, config.has_home_switches());
         self.tell_sampler(SamplerCommand::Configure {
             axes: config.axes,
             bus: config.bus.clone(),

@@ -58,7 +58,9 @@ fn path() -> Vec<PathVertex> {
 fn drawing(config: &Config) -> Robot {
     let mut robot = Robot::idle_with(config);
     robot.draw(path());
-    robot.run_until("the pen draws", |robot| robot.cell().pen_touches && robot.speed_rad_s() > 0.05);
+    robot.run_until("the pen draws", |robot| {
+        robot.cell().pen_touches && robot.speed_rad_s() > 0.05
+    });
     robot.run(200);
     robot
 }
@@ -110,7 +112,10 @@ fn a_terminal_of_limit_switches_that_fails_is_a_fault() {
     assert_described_standstill(&mut robot, |fault| {
         let is_missing = |cause: &InputCause| *cause == InputCause::Missing;
         matches!(fault, Fault::StopInput { cause, .. } if is_missing(cause))
-            || matches!(fault, Fault::SlaveLost { slave: 1 } | Fault::SlaveState { .. } | Fault::Blind { .. })
+            || matches!(
+                fault,
+                Fault::SlaveLost { slave: 1 } | Fault::SlaveState { .. } | Fault::Blind { .. }
+            )
     });
     robot.run(2_000);
     assert_recovers_with(&mut robot, |_| {});

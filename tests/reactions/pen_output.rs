@@ -6,6 +6,7 @@ use etherpen::application::{Fault, Mode};
 use etherpen::config::{Config, IoRole, PenLiftKind};
 use etherpen::messages::{Command, PathVertex};
 use etherpen::motion::Pen;
+use etherpen::robots::Position;
 use host_tools::cell::Fault as CellFault;
 use host_tools::settings::machines::MACHINES;
 
@@ -116,6 +117,39 @@ fn a_terminal_that_fails_while_its_pen_draws_is_a_fault_and_a_held_drawing_has_i
         robot.ack.finished && robot.mode() == Mode::Idle
     });
     assert_eq!(robot.fault(), None);
+}
+
+#[test]
+fn a_way_down_that_ends_above_the_paper_is_travel_and_leaves_no_ink() {
+    let mut robot = Robot::idle_with(&corexy());
+    let mut go = |x_mm: f64, z_mm: f64| {
+        let (y_mm, before) = (-40.0, robot.cell().joints.0[0]);
+        let position = Position { x_mm, y_mm, z_mm };
+        robot.command(Command::Move { position }).unwrap();
+        robot.run_until("it moves", |robot| robot.speed_rad_s() > 0.1);
+        while robot.mode() != Mode::Idle || robot.speed_rad_s() > 1e-3 {
+            robot.run(1);
+            assert!(
+                robot.outputs(TERMINAL) == 0 && !robot.cell().pen_touches,
+                "to {x_mm}, {z_mm} mm"
+            );
+        }
+        assert!((robot.cell().joints.0[0] - before).abs() > 0.1, "it has moved");
+    };
+    // Up, down to the height of a lifted pen, up again, and half of the way down.
+    for (x_mm, z_mm) in [(-60.0, 3.5), (60.0, 0.0), (-60.0, 3.0), (60.0, 1.0)] {
+        go(x_mm, z_mm);
+    }
+    assert_eq!(robot.ink().len(), 0);
+    robot.draw(path());
+    robot.run_until("the path is executed", |robot| {
+        robot.ack.finished && robot.mode() == Mode::Idle
+    });
+    assert_eq!(
+        (robot.fault(), robot.ink().len()),
+        (None, 2),
+        "a drawing lowers the pen"
+    );
 }
 
 #[test]

@@ -2,7 +2,7 @@
 //!
 //! Nothing is judged here. Commands are taken from the bytes that reached the board, after the line's noise.
 
-use super::machine::{Chain, has_height_axis, has_switches};
+use super::machine::{Chain, has_height_axis};
 use super::world::Frame;
 use super::{Rule, robot};
 use crate::cell::{Fault, PEN_SPRING_MM, Product, ResolverFault, SiiFault, Truth};
@@ -109,7 +109,7 @@ impl Judge {
             mounted: [false; AXES],
             axes: config.bus.drives.into(),
             chain: Chain::new(config),
-            has_switches: has_switches(config),
+            has_switches: config.has_home_switches(),
             searches: false,
             products: config.axes.each_ref().map(product),
             configured: false,

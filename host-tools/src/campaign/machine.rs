@@ -3,7 +3,7 @@
 use crate::cell::usual_slaves;
 use crate::settings::load;
 use crate::settings::machines::MachineChoice;
-use etherpen::config::{Config, IoDirection, PenLiftKind};
+use etherpen::config::{Config, PenLiftKind};
 use etherpen::robots::MAIN_AXES;
 
 /// Name of the machine of an episode that names none.
@@ -91,13 +91,6 @@ impl Machine {
 /// Part of the sheet's width and height in which figures lie.
 const FIGURE_PART: f64 = 0.9;
 
-/// Whether a configuration's axes find their places by home switches.
-pub(super) fn has_switches(config: &Config) -> bool {
-    let is_input = |io: u8| config.io.get(usize::from(io)).map(|point| point.direction) == Some(IoDirection::In);
-    let mut used = config.axes.iter().take(config.bus.drives.into());
-    used.any(|axis| axis.home.io.is_some_and(is_input))
-}
-
 /// Whether an axis moves the tool up and down; otherwise the height exists on the path only.
 pub(super) fn has_height_axis(config: &Config) -> bool {
     config.pen.kind == PenLiftKind::Axis || usize::from(config.bus.drives) >= MAIN_AXES
@@ -125,7 +118,7 @@ mod tests {
             gantry.chain.is_used(2) && !gantry.chain.is_used(1),
             "the coupler is not used"
         );
-        let searching = MACHINES.map(|machine| has_switches(&machine.load().expect("a bundled machine")));
+        let searching = MACHINES.map(|machine| machine.load().expect("a bundled machine").has_home_switches());
         assert_eq!(searching, [false, true, false, false, false]);
     }
 

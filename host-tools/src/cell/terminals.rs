@@ -43,7 +43,10 @@ pub fn usual_slaves(config: &Config) -> Vec<SlaveKind> {
 /// The inputs of a terminal, by its place from 0, at the start.
 pub(crate) fn closed_contacts(config: &Config, place: usize) -> u8 {
     let closed = config.io.iter().filter(|point| {
-        let is_closed = matches!(point.role, IoRole::EmergencyStop | IoRole::Door | IoRole::Hold | IoRole::Limit);
+        let is_closed = matches!(
+            point.role,
+            IoRole::EmergencyStop | IoRole::Door | IoRole::Hold | IoRole::Limit
+        );
         is_closed && usize::from(point.slave) == place
     });
     closed.fold(0, |bits, point| {

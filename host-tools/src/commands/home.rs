@@ -17,12 +17,6 @@ use etherpen::robots::JointAngles;
 /// Longest simulated time, ms.
 const SIMULATED_MAX_MS: u32 = 600_000;
 
-/// Whether axes are homed by switches.
-pub fn has_switches(config: &Config) -> bool {
-    let mut used = config.axes.iter().take(config.bus.drives.into());
-    used.any(|axis| axis.home.io.is_some())
-}
-
 /// A job in virtual time.
 struct Simulated(Job);
 

@@ -160,7 +160,7 @@ fn wanted(arguments: &Arguments, kinematics: &Kinematics) -> Result<Wanted, Prog
 fn take(arguments: &Arguments, config: &Config, wanted: Wanted) -> Result<Referenced, ProgramError> {
     let physics = arguments.cell.load_if(arguments.simulate)?;
     let at_marks = wanted.pose == Pose::Marks && wanted.position.is_none() && !wanted.calibrate;
-    if at_marks && home::has_switches(config) {
+    if at_marks && config.has_home_switches() {
         return match arguments.port.find_unless(arguments.simulate.then_some("--simulate"))? {
             Some(name) => home::at_port(config, &name),
             None => home::simulated(

@@ -15,7 +15,7 @@ use super::skeleton::Part;
 use super::status::{self, mode_name};
 use crate::link::text;
 use etherpen::application::Mode;
-use etherpen::config::{Config, IoPoints};
+use etherpen::config::Config;
 use etherpen::messages::{Sample, Status, Welcome};
 use etherpen::motion::Pen;
 use serde::Serialize;
@@ -172,8 +172,7 @@ pub struct Hub {
     /// Console time at which each slave stopped answering, ms.
     silent_ms: Vec<Option<u64>>,
     rows: Rows,
-    /// The named inputs and outputs of the configuration.
-    io: IoPoints,
+    config: Config,
     history: History,
     log: VecDeque<LogEntry>,
     log_next: u64,
@@ -210,7 +209,7 @@ impl Hub {
             status: None,
             silent_ms: Vec::new(),
             rows: Rows::new(config),
-            io: config.io.clone(),
+            config: config.clone(),
             history: History::default(),
             log: VecDeque::new(),
             log_next: 0,
@@ -394,7 +393,7 @@ impl Hub {
         let silent_s: Vec<_> = self.silent_ms.iter().map(silent_s).collect();
         let view = status::view(status, &silent_s)
             .seen_at(self.known.map(|known| known.platform_mm))
-            .with_io(&self.io, status);
+            .with_machine(&self.config, status);
         self.say(Topic::Status, &view);
         self.status = Some(status.clone());
     }

@@ -5,7 +5,7 @@
 
 use crate::link::text;
 use etherpen::application::{Fault, Mode, StopSource};
-use etherpen::config::{IoDirection, IoPoints, IoRole};
+use etherpen::config::{Config, IoDirection, IoRole};
 use etherpen::drives::cia402::{DriveState, StatusWord};
 use etherpen::ethercat::state::{al_code_hint, al_code_text};
 use etherpen::messages::{SlaveStatus, Status};
@@ -153,24 +153,43 @@ fn slave(index: usize, slave: &SlaveStatus, silent_s: Option<u64>) -> SlaveView 
 }
 
 impl StatusView {
-    /// Adds the named inputs and outputs; `points` are those of the configuration.
-    pub fn with_io(self, points: &IoPoints, status: &Status) -> Self {
-        let io = points.iter().zip(&status.io).map(|(point, state)| IoView {
+    /// Adds what the configuration tells: the named inputs and outputs, which slaves have to be in OP, and that home switches
+    /// need power.
+    pub fn with_machine(mut self, config: &Config, status: &Status) -> Self {
+        let io = config.io.iter().zip(&status.io).map(|(point, state)| IoView {
             name: point.name.to_string(),
             is_output: point.direction == IoDirection::Out,
             role: point.role.name(),
             value: state.valid.then(|| point.kind.value(state.raw)),
         });
-        Self {
-            io: io.collect(),
-            ..self
+        self.io = io.collect();
+        if config.has_home_switches() && status.mode == Mode::DrivesOff {
+            self.allowed.retain(|action| *action != "reference");
         }
+        // A coupler that no name belongs to is not brought up.
+        let used = usize::from(config.bus.drives) + config.terminal_places().count() as usize;
+        if used < self.slaves.len() {
+            let operational = self.slaves.iter().filter(|slave| slave.operational).count();
+            self.bus = bus(operational.min(used), used);
+        }
+        self
     }
 
     /// Adds the platform's last position from the time when the joints were referenced, if they no longer are.
     pub fn seen_at(self, seen_mm: Option<[f32; 3]>) -> Self {
         let seen_mm = seen_mm.filter(|_| !self.referenced);
         Self { seen_mm, ..self }
+    }
+}
+
+/// The bus with this many slaves in OP of those that have to be.
+fn bus(operational: usize, slaves: usize) -> BusView {
+    BusView {
+        text: match slaves {
+            0 => "no slaves yet".to_owned(),
+            slaves => format!("{operational} of {slaves} slaves in OP"),
+        },
+        good: operational == slaves && operational > 0,
     }
 }
 
@@ -182,7 +201,6 @@ pub fn view(status: &Status, silent_s: &[Option<u64>]) -> StatusView {
         .map(|(index, status)| slave(index, status, silent_s.get(index).copied().flatten()))
         .collect();
     let operational = slaves.iter().filter(|slave| slave.operational).count();
-    let good = operational == slaves.len() && operational > 0;
     StatusView {
         mode: mode_name(status.mode),
         text: text::doing(status),
@@ -206,13 +224,7 @@ pub fn view(status: &Status, silent_s: &[Option<u64>]) -> StatusView {
             true => vec!["override"],
             false => allowed(status.mode, status.referenced),
         },
-        bus: BusView {
-            text: match status.slaves.len() {
-                0 => "no slaves yet".to_owned(),
-                slaves => format!("{operational} of {slaves} slaves in OP"),
-            },
-            good,
-        },
+        bus: bus(operational, slaves.len()),
         slaves,
         counters: vec![
             ("cycles", counters.cycles),
@@ -233,6 +245,7 @@ pub fn view(status: &Status, silent_s: &[Option<u64>]) -> StatusView {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
+    use crate::settings::machines::MACHINES;
     use etherpen::board::PortState;
     use etherpen::messages::Counters;
     use heapless::Vec as FixedVec;
@@ -289,6 +302,31 @@ pub(crate) mod tests {
         assert!(second.fault && second.error.starts_with("0x001b"), "{second:?}");
         assert_eq!(second.state, "SAFEOP with error");
         assert!(!second.hint.is_empty());
+    }
+
+    #[test]
+    fn an_unused_coupler_is_not_counted_and_home_switches_need_power() {
+        let gantry = MACHINES[1].load().unwrap();
+        let of = |mode, coupler: u8, drive: u8| {
+            let mut status = status(mode, None);
+            let states = [coupler, 8, 8, 8, drive];
+            let used = status.slaves[0].clone();
+            status.slaves = states
+                .into_iter()
+                .map(|al_state| SlaveStatus {
+                    al_state,
+                    ..used.clone()
+                })
+                .collect();
+            let view = view(&status, &[]).with_machine(&gantry, &status);
+            (view.bus.text, view.bus.good, view.allowed.contains(&"reference"))
+        };
+        assert_eq!(of(Mode::DrivesOff, 1, 8), ("4 of 4 slaves in OP".into(), true, false));
+        assert_eq!(
+            of(Mode::Unreferenced, 1, 2),
+            ("3 of 4 slaves in OP".into(), false, true)
+        );
+        assert_eq!(of(Mode::Idle, 8, 8).2, true);
     }
 
     #[test]

@@ -6,7 +6,6 @@ use super::task::{DrawTask, Motion, Ready, Task};
 use crate::link::measurement::Reader;
 use crate::link::text;
 use etherpen::application::Mode;
-use etherpen::config::Config;
 use etherpen::link::message::PathAck;
 use etherpen::messages::Command;
 
@@ -31,12 +30,6 @@ const JOG_REPEAT_MS: u64 = 40;
 const ABANDONED_MS: u64 = 500;
 
 const _: () = assert!(MEASUREMENTS_MAX_MS < STEP_MAX_MS);
-
-/// Whether axes are homed by switches.
-fn has_switches(config: &Config) -> bool {
-    let used = config.axes.iter().take(config.bus.drives.into());
-    used.into_iter().any(|axis| axis.home.io.is_some())
-}
 
 impl Job {
     /// Detects a firmware that no longer sends, with or without a task.
@@ -156,7 +149,7 @@ impl Job {
             Phase::Telling => self.tell(mode),
             Phase::BusUp => {
                 if matches!(mode, Mode::DrivesOff | Mode::Unreferenced | Mode::Idle) {
-                    let is_searched = !referenced && has_switches(&self.config);
+                    let is_searched = !referenced && self.config.has_home_switches();
                     self.ready(
                         Ready::Bus,
                         if is_searched {
@@ -259,7 +252,7 @@ impl Job {
     /// Homes the joints, at their marks or by their switches; fails if the reference at marks was lost or
     /// the drawing does not allow it.
     fn reference(&mut self, mode: Mode) {
-        let by_switches = has_switches(&self.config);
+        let by_switches = self.config.has_home_switches();
         let is_lost = self.status.as_ref().is_some_and(|status| status.reference_lost);
         let is_elsewhere = matches!(&self.task, Task::Draw(drawing) if !drawing.may_reference);
         if is_lost && !by_switches || is_elsewhere {

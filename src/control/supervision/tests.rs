@@ -197,7 +197,12 @@ fn a_stop_input_is_latched_with_power_and_an_open_emergency_stop_without_it_too(
         (Door, Missing, false),
     ] {
         let axis = u8::MAX;
-        let stop = IoStop { io: 3, role, axis, cause };
+        let stop = IoStop {
+            io: 3,
+            role,
+            axis,
+            cause,
+        };
         let with = |power| Observation {
             io_stop: Some(stop),
             power,

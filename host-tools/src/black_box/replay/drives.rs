@@ -6,6 +6,8 @@
 use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState, RxToken, TxToken};
 use etherpen::board::Interlock;
 use etherpen::config::{AxisMode, Config, Transport};
+use etherpen::control::io::IoPlaces;
+use etherpen::control::pen_switch::PenSwitch;
 use etherpen::control::sampler::{CycleReport, OUTPUT_LATE_NS, Queued, Sampler, SamplerCommand};
 use etherpen::drives::io::{BusState, GroupDrive, IoGroup, IoTrigger};
 use etherpen::drives::{DriveInput, DriveOutput, MemoryGroup, PositionRange, ax2000, generic};
@@ -107,6 +109,8 @@ impl<'q> Control<'q> {
         let mut bus = config.bus.clone();
         bus.transport = Transport::Raw;
         control.order(SamplerCommand::Configure { axes: config.axes, bus });
+        // What happened at inputs is not recorded; the height of a pen that an output lifts follows from the configuration.
+        control.order(SamplerCommand::ConfigureIo(IoPlaces::new(), PenSwitch::new(config)));
         control
     }
 

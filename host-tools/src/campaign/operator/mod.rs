@@ -13,7 +13,7 @@ use super::episode::{Episode, Figure};
 use super::ink;
 use super::judge::{Judge, ink_limit_mm};
 use super::line::Line;
-use super::machine::{Chain, has_switches};
+use super::machine::Chain;
 use super::world::World;
 use super::{Failure, Rule};
 use crate::black_box;
@@ -123,7 +123,7 @@ impl<'e> Operator<'e> {
             episode,
             judge,
             chain: Chain::new(&config),
-            has_switches: has_switches(&config),
+            has_switches: config.has_home_switches(),
             world,
             session: Session::new(1),
             connections: 0,
