@@ -326,7 +326,7 @@ pub(crate) mod tests {
             of(Mode::Unreferenced, 1, 2),
             ("3 of 4 slaves in OP".into(), false, true)
         );
-        assert_eq!(of(Mode::Idle, 8, 8).2, true);
+        assert!(of(Mode::Idle, 8, 8).2);
     }
 
     #[test]

@@ -148,3 +148,39 @@ fn a_move_before_a_jog_stays_an_order() {
     desk.hear(&Report::Mode(Mode::Idle));
     assert!(!desk.may_move());
 }
+
+#[test]
+fn a_search_permits_motion_with_unknown_joints_until_it_is_refused_cancelled_or_over() {
+    use crate::rig::{Rig, broken};
+    let powered = || {
+        let mut rig = Rig::new();
+        rig.input(Input::Configured);
+        rig.command(Command::Enable);
+        rig.power(true);
+        rig.report(Report::Homed(false));
+        assert_eq!(rig.run(600), Ok(()));
+        rig
+    };
+    let searching = || {
+        let mut rig = powered();
+        rig.command(Command::Search);
+        rig.report(Report::Homed(false));
+        rig.report(Report::Mode(Mode::Moving));
+        rig.accelerate_to(0.1);
+        assert_eq!(rig.run(400), Ok(()));
+        rig
+    };
+    assert_eq!(searching().run(1_000), Ok(()));
+    let mut rig = powered();
+    rig.input(Input::Commanded(Command::Search));
+    rig.report(Report::Refused(Command::Search));
+    rig.accelerate_to(0.1);
+    assert!(broken(&rig.run(400), Rule::Permission), "refused");
+    let mut rig = searching();
+    rig.command(Command::Cancel);
+    assert!(broken(&rig.run(3_000), Rule::Permission), "cancelled");
+    let mut rig = searching();
+    rig.report(Report::Homed(true));
+    rig.report(Report::Mode(Mode::Idle));
+    assert!(broken(&rig.run(400), Rule::Permission), "over");
+}
