@@ -23,7 +23,7 @@ pub struct Arguments {
     #[arg(long, value_enum, default_value = "all")]
     profile: Profile,
     /// Machine: one of the bundled ones, or a configuration file.
-    #[arg(long, value_name = "irb340|gantry|corexy|scara|linear-delta|FILE", default_value = DEFAULT_MACHINE)]
+    #[arg(long, value_name = super::MACHINE_NAMES, default_value = DEFAULT_MACHINE)]
     machine: String,
     /// Hours of robot time after which no further episode begins; further seeds follow behind the last one until then.
     #[arg(long, value_name = "H", value_parser = hours)]

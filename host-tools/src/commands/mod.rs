@@ -47,6 +47,9 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
+/// What the option `--machine` takes.
+const MACHINE_NAMES: &str = "irb340|gantry|corexy|scara|linear-delta|FILE";
+
 /// Options of every command that uses a configuration.
 #[derive(clap::Args, Debug, Default)]
 pub struct ConfigArguments {
@@ -56,7 +59,7 @@ pub struct ConfigArguments {
     /// Machine: one of the bundled ones, or a configuration file.
     #[arg(
         long,
-        value_name = "irb340|gantry|corexy|scara|linear-delta|FILE",
+        value_name = MACHINE_NAMES,
         conflicts_with = "config"
     )]
     pub machine: Option<MachineChoice>,
