@@ -63,51 +63,23 @@ impl From<toml::de::Error> for ReadingError {
 /// # Errors
 /// [`ReadingError`].
 pub fn configuration(text: &str) -> Result<Config, ReadingError> {
-    let mut table = DeTable::parse(text)?;
-    let mut file = File { text };
+    let table = DeTable::parse(text)?;
+    let file = File { text };
     file.check_numbers("", table.get_ref())?;
     let kind = file.kind(table.get_ref())?;
-    let linear = kind.map_or([false; AXES], Kind::linear_axes);
     let unnamed = file.unnamed_kind(table.get_ref());
-    let idle = file.homes_without_switch(table.get_ref());
-    file.share(table.get_mut(), &linear)?;
-    file.check_counts(table.get_ref())?;
-    let converted = file.converted(table.get_ref(), &linear)?;
-    // The converted values are texts of their own, which live shorter than the file's.
-    let mut table: Spanned<DeTable<'_>> = table;
-    apply(table.get_mut(), &converted);
-    complete(table.get_mut());
-    let config = Config::deserialize(Deserializer::from(table)).map_err(|mut cause| {
-        cause.set_input(Some(text));
-        match unnamed {
-            // What fails may well be right for the kind that is meant.
-            Some(line) => {
-                let text = format!(
-                    "[geometry] has no kind, so it is read as a delta: kind is one of {}\n{cause}",
-                    kinds()
-                );
-                ReadingError::Machine { line, text }
-            }
-            None => cause.into(),
-        }
-    })?;
-    // Values of a home switch that nobody changed say nothing.
-    let is_meant = |axis: usize| {
-        config
-            .axes
-            .get(axis)
-            .is_some_and(|axis| axis.home != HomeSwitch::default())
-    };
-    match idle.into_iter().find(|(axis, _)| is_meant(*axis)) {
-        None => Ok(config),
-        Some((axis, place)) => {
-            let text = format!(
-                "axis {}: home has no switch: write switch = \"NAME\", the name of an [[io]] with role = \"home\"",
-                axis + 1
-            );
-            Err(file.error(place, text))
-        }
-    }
+    file.read(table, kind).map_err(|cause| match unnamed {
+        None => cause,
+        // What fails may well be right for the kind that is meant.
+        Some(line) => ReadingError::Machine {
+            line,
+            text: format!(
+                "[geometry] has no kind, so it is read as a {}: kind is one of {}\n{cause}",
+                Kind::default().name(),
+                kinds()
+            ),
+        },
+    })
 }
 
 /// The names of all kinds of machines.
@@ -163,6 +135,38 @@ impl File<'_> {
     fn line(&self, place: usize) -> usize {
         let before = self.text.get(..place).unwrap_or(self.text);
         before.matches('\n').count() + 1
+    }
+
+    /// The configuration of a table of this kind of machine.
+    fn read(&self, mut table: Spanned<DeTable<'_>>, kind: Option<Kind>) -> Result<Config, ReadingError> {
+        let linear = kind.map_or([false; AXES], Kind::linear_axes);
+        let idle = self.homes_without_switch(table.get_ref());
+        self.share(table.get_mut(), &linear)?;
+        self.check_counts(table.get_ref())?;
+        let converted = self.converted(table.get_ref(), &linear)?;
+        // The converted values are texts of their own, which live shorter than the file's.
+        let mut table: Spanned<DeTable<'_>> = table;
+        apply(table.get_mut(), &converted);
+        complete(table.get_mut());
+        let config = Config::deserialize(Deserializer::from(table)).map_err(|mut cause| {
+            cause.set_input(Some(self.text));
+            ReadingError::from(cause)
+        })?;
+        // Values of a home switch that nobody changed say nothing.
+        let is_meant = |axis: usize| {
+            let axis = config.axes.get(axis);
+            axis.is_some_and(|axis| axis.home != HomeSwitch::default())
+        };
+        match idle.into_iter().find(|(axis, _)| is_meant(*axis)) {
+            None => Ok(config),
+            Some((axis, place)) => {
+                let text = format!(
+                    "axis {}: home has no switch: write switch = \"NAME\", the name of an [[io]] with role = \"home\"",
+                    axis + 1
+                );
+                Err(self.error(place, text))
+            }
+        }
     }
 
     /// The kind of machine, if the file names one.
@@ -251,7 +255,7 @@ impl File<'_> {
 
     /// Gives each axis the shared values that it does not set itself, and that suit it: those in radians are not for linear
     /// axes, those in millimetres only for them.
-    fn share(&mut self, table: &mut DeTable<'_>, linear: &[bool; AXES]) -> Result<(), ReadingError> {
+    fn share(&self, table: &mut DeTable<'_>, linear: &[bool; AXES]) -> Result<(), ReadingError> {
         let Some(shared) = table.remove(SHARED) else {
             return Ok(());
         };
