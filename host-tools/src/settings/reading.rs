@@ -63,51 +63,23 @@ impl From<toml::de::Error> for ReadingError {
 /// # Errors
 /// [`ReadingError`].
 pub fn configuration(text: &str) -> Result<Config, ReadingError> {
-    let mut table = DeTable::parse(text)?;
-    let mut file = File { text };
+    let table = DeTable::parse(text)?;
+    let file = File { text };
     file.check_numbers("", table.get_ref())?;
     let kind = file.kind(table.get_ref())?;
-    let linear = kind.map_or([false; AXES], Kind::linear_axes);
     let unnamed = file.unnamed_kind(table.get_ref());
-    let idle = file.homes_without_switch(table.get_ref());
-    file.share(table.get_mut(), &linear)?;
-    file.check_counts(table.get_ref())?;
-    let converted = file.converted(table.get_ref(), &linear)?;
-    // The converted values are texts of their own, which live shorter than the file's.
-    let mut table: Spanned<DeTable<'_>> = table;
-    apply(table.get_mut(), &converted);
-    complete(table.get_mut());
-    let config = Config::deserialize(Deserializer::from(table)).map_err(|mut cause| {
-        cause.set_input(Some(text));
-        match unnamed {
-            // What fails may well be right for the kind that is meant.
-            Some(line) => {
-                let text = format!(
-                    "[geometry] has no kind, so it is read as a delta: kind is one of {}\n{cause}",
-                    kinds()
-                );
-                ReadingError::Machine { line, text }
-            }
-            None => cause.into(),
-        }
-    })?;
-    // Values of a home switch that nobody changed say nothing.
-    let is_meant = |axis: usize| {
-        config
-            .axes
-            .get(axis)
-            .is_some_and(|axis| axis.home != HomeSwitch::default())
-    };
-    match idle.into_iter().find(|(axis, _)| is_meant(*axis)) {
-        None => Ok(config),
-        Some((axis, place)) => {
-            let text = format!(
-                "axis {}: home has no switch: write switch = \"NAME\", the name of an [[io]] with role = \"home\"",
-                axis + 1
-            );
-            Err(file.error(place, text))
-        }
-    }
+    file.read(table, kind).map_err(|cause| match unnamed {
+        None => cause,
+        // What fails may well be right for the kind that is meant.
+        Some(line) => ReadingError::Machine {
+            line,
+            text: format!(
+                "[geometry] has no kind, so it is read as a {}: kind is one of {}\n{cause}",
+                Kind::default().name(),
+                kinds()
+            ),
+        },
+    })
 }
 
 /// The names of all kinds of machines.
@@ -163,6 +135,38 @@ impl File<'_> {
     fn line(&self, place: usize) -> usize {
         let before = self.text.get(..place).unwrap_or(self.text);
         before.matches('\n').count() + 1
+    }
+
+    /// The configuration of a table of this kind of machine.
+    fn read(&self, mut table: Spanned<DeTable<'_>>, kind: Option<Kind>) -> Result<Config, ReadingError> {
+        let linear = kind.map_or([false; AXES], Kind::linear_axes);
+        let idle = self.homes_without_switch(table.get_ref());
+        self.share(table.get_mut(), &linear)?;
+        self.check_counts(table.get_ref())?;
+        let converted = self.converted(table.get_ref(), &linear)?;
+        // The converted values are texts of their own, which live shorter than the file's.
+        let mut table: Spanned<DeTable<'_>> = table;
+        apply(table.get_mut(), &converted);
+        complete(table.get_mut());
+        let config = Config::deserialize(Deserializer::from(table)).map_err(|mut cause| {
+            cause.set_input(Some(self.text));
+            ReadingError::from(cause)
+        })?;
+        // Values of a home switch that nobody changed say nothing.
+        let is_meant = |axis: usize| {
+            let axis = config.axes.get(axis);
+            axis.is_some_and(|axis| axis.home != HomeSwitch::default())
+        };
+        match idle.into_iter().find(|(axis, _)| is_meant(*axis)) {
+            None => Ok(config),
+            Some((axis, place)) => {
+                let text = format!(
+                    "axis {}: home has no switch: write switch = \"NAME\", the name of an [[io]] with role = \"home\"",
+                    axis + 1
+                );
+                Err(self.error(place, text))
+            }
+        }
     }
 
     /// The kind of machine, if the file names one.
@@ -251,7 +255,7 @@ impl File<'_> {
 
     /// Gives each axis the shared values that it does not set itself, and that suit it: those in radians are not for linear
     /// axes, those in millimetres only for them.
-    fn share(&mut self, table: &mut DeTable<'_>, linear: &[bool; AXES]) -> Result<(), ReadingError> {
+    fn share(&self, table: &mut DeTable<'_>, linear: &[bool; AXES]) -> Result<(), ReadingError> {
         let Some(shared) = table.remove(SHARED) else {
             return Ok(());
         };
@@ -548,123 +552,4 @@ fn complete(table: &mut DeTable<'_>) {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use etherpen::config::Axis;
-
-    fn error(text: &str) -> String {
-        configuration(text).unwrap_err().to_string()
-    }
-
-    #[test]
-    fn axes_have_the_shared_values_that_they_do_not_set_themselves() {
-        let text = "[axis_defaults]\ngear = 10.0\nfeed_forward_gain = 0.9\n[[axes]]\n[[axes]]\ngear = -5\n[[axes]]\n[[axes]]\n";
-        let config = configuration(text).unwrap();
-        assert_eq!(config.axes.map(|axis| axis.gear), [10.0, -5.0, 10.0, 10.0]);
-        assert_eq!(config.axes.map(|axis| axis.feed_forward_gain), [0.9; AXES]);
-        let config = configuration("[axis_defaults]\ngear = 10.0\n").unwrap();
-        assert_eq!(config.axes.map(|axis| axis.gear), [10.0; AXES]);
-        assert!(error("axis_defaults = 3\n").contains("line 1: axis_defaults is a table"));
-        let unknown = error("[axis_defaults]\ngears = 10.0\n[[axes]]\n");
-        assert!(unknown.contains("line 2") && unknown.contains("gears"), "{unknown}");
-    }
-
-    #[test]
-    fn fewer_axes_are_a_machine_with_fewer_drives() {
-        let config = configuration("[[axes]]\n[[axes]]\n[[axes]]\ngear = 7.0\n").unwrap();
-        assert_eq!((config.bus.drives, config.axes[2].gear), (3, 7.0));
-        assert_eq!(config.axes[3], Axis::default());
-        assert_eq!(configuration("axes = [{}, {}, {}, {}]").unwrap().bus.drives, 4);
-        assert_eq!(
-            error("axes = [{}, {},\n {}, {}, {}]"),
-            "line 2: a machine has at most 4 axes"
-        );
-    }
-
-    /// The error of the bundled gantry with a replaced part.
-    fn gantry(from: &str, to: &str) -> String {
-        let sample = include_str!("../../../samples/machines/gantry.toml");
-        assert!(sample.contains(from), "{from}");
-        error(&sample.replacen(from, to, 1))
-    }
-
-    #[test]
-    fn what_no_axis_takes_and_what_is_written_twice_is_refused() {
-        let radians = gantry("quick_stop_mm_s2 = 10000.0", "quick_stop_rad_s2 = 100.0");
-        assert!(
-            radians.contains("axis_defaults.quick_stop_rad_s2") && radians.contains("write quick_stop_mm_s2"),
-            "{radians}"
-        );
-        let two = gantry(
-            "joint_speed = [1000.0, 1000.0, 300.0]",
-            "joint_speed = [1000.0, 1000.0]",
-        );
-        assert!(two.contains("3 are needed, and there are 2"), "{two}");
-        let drives = gantry("[bus]\n", "[bus]\ndrives = 4\n");
-        assert!(drives.contains("bus.drives is 4, and there are 3"), "{drives}");
-        let twice =
-            error("axes = [{}, {}, {}, {}]\n[motion]\njoint_speed = [1, 1, 1, 1]\njoint_speed_rad_s = [1, 1, 1, 1]\n");
-        assert!(
-            twice.starts_with("line 3: ") && twice.contains("write one of them"),
-            "{twice}"
-        );
-    }
-
-    #[test]
-    fn a_home_without_switch_or_speed_is_refused() {
-        let no_switch = gantry("switch = \"x_home\", ", "");
-        assert!(no_switch.contains("axis 1: home has no switch"), "{no_switch}");
-        let no_speed = gantry("speed_mm_s = -60.0, ", "");
-        assert!(no_speed.contains("speed_mm_s of home is missing"), "{no_speed}");
-        let both = gantry("switch = \"x_home\"", "switch = \"x_home\", io = 0");
-        assert!(both.contains("switch and io"), "{both}");
-        // The program itself writes the values of a machine without switches.
-        let written = toml::to_string(&Config::default()).unwrap();
-        assert!(written.contains("home"), "{written}");
-        assert_eq!(configuration(&written), Ok(Config::default()));
-    }
-
-    #[test]
-    fn a_kind_that_does_not_exist_or_is_missing_is_told_first_with_all_kinds() {
-        let misspelt = gantry("kind = \"gantry\"", "kind = \"gantri\"");
-        assert!(
-            misspelt.contains("gantri") && misspelt.contains("\"linear-delta\""),
-            "{misspelt}"
-        );
-        let missing = gantry("kind = \"gantry\"\n", "");
-        assert!(
-            missing.contains("no kind") && missing.contains("\"corexy\"") && missing.contains("x_range_mm"),
-            "{missing}"
-        );
-        assert!(
-            configuration("[geometry]\nforearm_mm = 810.0\n").is_ok(),
-            "a delta needs none"
-        );
-    }
-
-    #[test]
-    fn numbers_that_are_not_finite_are_refused_by_name() {
-        let text = gantry("speed_mm_s = 250.0", "speed_mm_s = nan");
-        assert!(text.contains("motion.speed_mm_s is nan"), "{text}");
-        let text = gantry("sync_mm = 2.0", "sync_mm = -inf");
-        assert!(text.contains("axes.sync_mm is -inf"), "{text}");
-        let text = gantry("centre_mm = [320.0, 240.0]", "centre_mm = [320.0, nan]");
-        assert!(text.contains("paper.centre_mm is nan"), "{text}");
-    }
-
-    #[test]
-    fn a_file_without_any_of_it_is_read_as_toml_reads_it() {
-        let sample = include_str!("../../../samples/etherpen.toml");
-        assert_eq!(configuration(sample).unwrap(), toml::from_str(sample).unwrap());
-        assert_eq!(configuration("").unwrap(), Config::default());
-        for wrong in [
-            "[motion]\nsped = 3\n",
-            "axes = 3\n",
-            "[motion\n",
-            "[motion]\nspeed_mm_s = 'fast'\n",
-        ] {
-            let expected = toml::from_str::<Config>(wrong).unwrap_err().to_string();
-            assert_eq!(error(wrong), expected);
-        }
-    }
-}
+mod tests;

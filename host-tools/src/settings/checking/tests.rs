@@ -1,0 +1,170 @@
+use super::*;
+use crate::settings::machines::MACHINES;
+
+const GANTRY: &str = include_str!("../../../../samples/machines/gantry.toml");
+const COREXY: &str = include_str!("../../../../samples/machines/corexy.toml");
+const SCARA: &str = include_str!("../../../../samples/machines/scara.toml");
+
+/// The only finding about a sample with a replaced part; its line is the one that has `at`.
+fn finding(sample: &str, from: &str, to: &str, at: &str) -> Finding {
+    assert!(sample.contains(from), "{from}");
+    let text = sample.replacen(from, to, 1);
+    let findings = check(&text);
+    let [finding] = &findings[..] else {
+        panic!("{findings:#?}")
+    };
+    let line = text.lines().position(|line| line.contains(at)).map(|line| line + 1);
+    assert_eq!(finding.line, line, "{finding}");
+    finding.clone()
+}
+
+#[test]
+fn nothing_is_found_in_the_bundled_machines() {
+    for machine in MACHINES {
+        assert_eq!(check(machine.text), [], "{}", machine.name);
+    }
+}
+
+#[test]
+fn a_kind_with_the_wrong_number_of_axes_is_named() {
+    let (before, rest) = GANTRY
+        .split_once("[[axes]]                     # z: the pen")
+        .expect("z");
+    let (_, after) = rest.split_once("[bus]").expect("the bus");
+    let two = format!("{before}[bus]{after}")
+        .replacen("[1000.0, 1000.0, 300.0]", "[1000.0, 1000.0]", 1)
+        .replacen("[8000.0, 8000.0, 4000.0]", "[8000.0, 8000.0]", 1);
+    let found = finding(&two, "A2", "A2", "[[axes]]");
+    assert_eq!(found.gravity, Gravity::Error);
+    assert!(
+        found.text.contains("a gantry has 3 to 4 axes, and there are 2"),
+        "{found}"
+    );
+    assert!(found.text.contains("[pen]"), "{found}");
+}
+
+#[test]
+fn two_axes_on_one_drive_are_named() {
+    let one = SCARA.replacen("sync_angle_rad = -0.65", "sync_angle_rad = -0.65\nserial = 7", 1);
+    let found = finding(
+        &one,
+        "sync_angle_rad = 1.6",
+        "sync_angle_rad = 1.6\nserial  = 7",
+        "serial  = 7",
+    );
+    assert!(
+        found.text.contains("axis 2") && found.text.contains("same drive"),
+        "{found}"
+    );
+}
+
+#[test]
+fn a_linear_axis_without_pitch_is_named() {
+    let found = finding(
+        GANTRY,
+        "# y: the beam\npitch_mm = 40.0\n",
+        "# y: the beam\n",
+        "# y: the beam",
+    );
+    assert!(
+        found.text.contains("pitch_mm") && found.text.contains("missing"),
+        "{found}"
+    );
+}
+
+#[test]
+fn a_sheet_and_a_work_area_outside_the_reach_are_named() {
+    let found = finding(
+        GANTRY,
+        "centre_mm = [320.0, 240.0]",
+        "centre_mm = [600.0, 240.0]",
+        "centre_mm",
+    );
+    assert_eq!(found.gravity, Gravity::Error);
+    assert!(
+        found.text.contains("x 700.0") && found.text.contains("[paper]"),
+        "{found}"
+    );
+    let found = finding(
+        GANTRY,
+        "x_mm = [10.0, 630.0]",
+        "x_mm = [10.0, 690.0]",
+        "x_mm = [10.0, 690.0]",
+    );
+    assert!(
+        found.text.contains("x 690.0") && found.text.contains("[work_area]"),
+        "{found}"
+    );
+    let found = finding(SCARA, "radius_mm = 385.0", "radius_mm = 405.0", "radius_mm = 405.0");
+    assert_eq!(found.gravity, Gravity::Error);
+    assert!(
+        found.text.contains("work_area.radius_mm is 405") && found.text.contains("to 400"),
+        "{found}"
+    );
+}
+
+#[test]
+fn limits_of_zero_are_named_in_the_unit_of_the_axis() {
+    let found = finding(
+        GANTRY,
+        "output_max_mm_s = 1300.0",
+        "output_max_mm_s = 0.0",
+        "output_max_mm_s",
+    );
+    assert!(
+        found
+            .text
+            .starts_with("axes.output_max_mm_s of axis 1 is 0, allowed is 1 to "),
+        "{found}"
+    );
+    let found = finding(
+        GANTRY,
+        "joint_speed = [1000.0, 1000.0, 300.0]",
+        "joint_speed = [1000.0, 0.0, 300.0]",
+        "joint_speed",
+    );
+    assert!(
+        found.text.contains("motion.joint_speed") && found.text.contains("is 0"),
+        "{found}"
+    );
+    let found = finding(GANTRY, "speed_mm_s = 250.0", "speed_mm_s = 0.0", "speed_mm_s = 0.0");
+    assert!(found.text.contains("motion.speed_mm_s is 0"), "{found}");
+}
+
+#[test]
+fn a_pen_without_its_output_is_named() {
+    let found = finding(COREXY, "role = \"pen\"", "role = \"none\"", "kind = \"output\"");
+    assert!(found.text.contains("role = \"pen\""), "{found}");
+}
+
+#[test]
+fn unlikely_values_are_warnings() {
+    let found = check(&COREXY.replacen("quick_stop_mm_s2 = 12000.0", "quick_stop_mm_s2 = 2500.0", 1));
+    assert_eq!(found.len(), 2, "one for each belt: {found:#?}");
+    assert!(
+        found[0].gravity == Gravity::Warning && found[0].text.contains("2500 mm/s2"),
+        "{}",
+        found[0]
+    );
+}
+
+#[test]
+fn motors_that_turn_too_fast_and_commands_that_end_too_early_are_warnings() {
+    let found = check(&COREXY.replacen("output_max_mm_s = 1500.0", "output_max_mm_s = 1000.0", 1));
+    assert_eq!(found.len(), 2, "{found:#?}");
+    assert!(
+        found[0].text.contains("1200 mm/s") && found[0].text.contains("1000 mm/s"),
+        "{}",
+        found[0]
+    );
+    let found = check(&COREXY.replacen("pitch_mm = 40.0", "pitch_mm = 5.0", 1));
+    assert!(found[0].text.contains("14400 revolutions"), "{found:#?}");
+}
+
+#[test]
+fn what_is_missing_is_told_without_a_line() {
+    let found = check("[motion]\nspeed_mm_s = 100.0\n");
+    let names: Vec<_> = found.iter().map(|finding| &finding.text[..10]).collect();
+    assert_eq!(names, ["[geometry]", "[work_area", "[paper] is", "[[axes]] i"]);
+    assert!(check("[motion\n")[0].text.contains("line 1"));
+}
