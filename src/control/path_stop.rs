@@ -122,7 +122,7 @@ impl PathStop {
         let before_rad = self.last.position_rad;
         self.last = Setpoint {
             position_rad,
-            velocity_rad_s: core::array::from_fn(|axis| (position_rad[axis] - before_rad[axis]) / STEP_S),
+            velocity_rad_s: differences(&position_rad, &before_rad).map(|change_rad| change_rad / STEP_S),
             ..*setpoint
         };
         Some(self.last)
@@ -172,6 +172,16 @@ impl PathStop {
     }
 }
 
+/// How much each axis has moved from `before` to `now`, rad.
+fn differences(now: &[f64; AXES], before: &[f64; AXES]) -> [f64; AXES] {
+    let mut moved = *now;
+    moved
+        .iter_mut()
+        .zip(before)
+        .for_each(|(moved, before)| *moved -= before);
+    moved
+}
+
 /// Time that a quick stop takes from these velocities, s; infinite if one of them is not a number.
 fn quick_stop_s(velocities_rad_s: &[f64; AXES], axes: &[Axis]) -> f64 {
     let each = velocities_rad_s.iter().zip(axes);
@@ -209,11 +219,14 @@ impl Cubic<'_> {
     /// Positions at a place, rad.
     fn position_rad(&self, place: f64) -> [f64; AXES] {
         let (left, place_2) = (1.0 - place, place * place);
-        core::array::from_fn(|axis| {
+        let mut positions_rad = self.first.position_rad;
+        for (axis, (position_rad, to)) in positions_rad.iter_mut().zip(&self.second.position_rad).enumerate() {
             let [begin, end] = self.ends_rad_s(axis).map(|rad_s| rad_s * STEP_S);
-            let (from, to) = (self.first.position_rad[axis], self.second.position_rad[axis]);
-            from + (to - from) * place_2 * (3.0 - 2.0 * place) + begin * place * left * left - end * place_2 * left
-        })
+            let from = *position_rad;
+            *position_rad =
+                from + (to - from) * place_2 * (3.0 - 2.0 * place) + begin * place * left * left - end * place_2 * left;
+        }
+        positions_rad
     }
 }
 

@@ -126,7 +126,7 @@ pub(crate) fn a_search_that_is_ended_early_leaves_a_homed_machine_unhomed_where_
 pub(crate) fn a_way_that_is_too_short_ends_the_search_before_the_end_stop() {
     let mut config = gantry();
     for axis in &mut config.axes {
-        axis.home.travel_max_rad = 0.05;
+        (axis.home.pull_off_rad, axis.home.travel_max_rad) = (0.03, 0.05);
     }
     let mut robot = Robot::of(&gantry(), CellOptions::default());
     robot.configure(&config);

@@ -163,9 +163,8 @@ impl Trajectory {
 
     /// Takes the measured pose, at rest, as the start; discards any path.
     ///
-    /// Returns whether the robot can have this pose and reach it again: one with a joint on the other side, such as a
-    /// SCARA's elbow, is another one than the planner would choose there. Without a valid pose, setpoints stay where they
-    /// are and commands are refused.
+    /// Returns whether the robot can have this pose and reach it again: one with a joint on the other side is another one than
+    /// the planner would choose there. Without a valid pose, setpoints stay where they are and commands are refused.
     pub fn place(&mut self, pose: JointAngles) -> bool {
         self.pose = None;
         self.motion.drop_path();

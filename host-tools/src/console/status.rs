@@ -306,7 +306,7 @@ pub(crate) mod tests {
 
     #[test]
     fn an_unused_coupler_is_not_counted_and_home_switches_need_power() {
-        let gantry = MACHINES[1].load().unwrap();
+        let machine = MACHINES[1].load().unwrap();
         let of = |mode, coupler: u8, drive: u8| {
             let mut status = status(mode, None);
             let states = [coupler, 8, 8, 8, drive];
@@ -318,7 +318,7 @@ pub(crate) mod tests {
                     ..used.clone()
                 })
                 .collect();
-            let view = view(&status, &[]).with_machine(&gantry, &status);
+            let view = view(&status, &[]).with_machine(&machine, &status);
             (view.bus.text, view.bus.good, view.allowed.contains(&"reference"))
         };
         assert_eq!(of(Mode::DrivesOff, 1, 8), ("4 of 4 slaves in OP".into(), true, false));

@@ -23,8 +23,8 @@ impl<G: IoTrigger + IoGroup> Sampler<'_, G> {
         let homed = core::array::from_fn(|axis| axis >= self.used);
         let unhomed_rad = self.robot.angles_rad();
         let now = &mut self.now;
-        for (axis, angle_rad) in unhomed_rad.iter().enumerate().take(self.used) {
-            now.measured_rad[axis] = *angle_rad;
+        for (measured_rad, unhomed_rad) in now.measured_rad.iter_mut().zip(unhomed_rad).take(self.used) {
+            *measured_rad = unhomed_rad;
         }
         // A missing height is where the pen is up.
         if HEIGHT >= self.used {

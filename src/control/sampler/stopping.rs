@@ -9,7 +9,6 @@ use crate::config::AxisMode;
 use crate::control::path_stop::Progress;
 use crate::control::position::PositionController;
 use crate::drives::io::{IoGroup, IoTrigger};
-use crate::robots::AXES;
 
 impl<G: IoTrigger + IoGroup> Sampler<'_, G> {
     /// Begins a stop on the path; without a path, with drives or feedback in doubt, or if the quick stop itself takes too
@@ -34,13 +33,12 @@ impl<G: IoTrigger + IoGroup> Sampler<'_, G> {
     /// Number of setpoints, from that of the last command on, that the last command has used: its feed-forward lies between
     /// the last two of them.
     fn setpoints_sent(&self) -> usize {
-        let leads = (0..self.used).map(|axis| {
-            let controller = &self.controllers[axis];
-            match self.axes[axis].mode {
-                AxisMode::Velocity => controller.lead().whole,
-                AxisMode::Position => controller.lead().whole.max(controller.position_lead().whole),
-                AxisMode::Torque => self.velocity_controllers[axis].lead().whole,
-            }
+        let controllers = self.controllers.iter().zip(&self.velocity_controllers);
+        let leads = self.axes.iter().zip(controllers).take(self.used);
+        let leads = leads.map(|(axis, (controller, velocity_controller))| match axis.mode {
+            AxisMode::Velocity => controller.lead().whole,
+            AxisMode::Position => controller.lead().whole.max(controller.position_lead().whole),
+            AxisMode::Torque => velocity_controller.lead().whole,
         });
         2 + leads.max().unwrap_or(0)
     }
@@ -88,9 +86,8 @@ impl<G: IoTrigger + IoGroup> Sampler<'_, G> {
             return self.stop_at_once();
         }
         let planned_rad_s = self.controllers.each_ref().map(PositionController::velocity_at_age);
-        let used = self.used.min(AXES);
-        let (measured, planned) = (&self.now.measured_rad_s[..used], &planned_rad_s[..used]);
-        match self.path_stop.watch(measured, planned, self.still_ms) {
+        let measured_rad_s = self.now.measured_rad_s.get(..self.used).unwrap_or_default();
+        match self.path_stop.watch(measured_rad_s, &planned_rad_s, self.still_ms) {
             Progress::Brakes => {}
             Progress::Stands | Progress::Left => self.stop_at_once(),
         }

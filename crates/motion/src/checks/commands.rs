@@ -322,18 +322,18 @@ fn a_move_that_is_ended_brakes_at_once_and_within_the_limits() {
 }
 
 #[test]
-fn a_scara_whose_elbow_is_on_the_other_side_gets_no_setpoints_that_would_jump_there() {
+fn a_robot_whose_joint_is_on_the_other_side_gets_no_setpoints_that_would_jump_there() {
     let settings = Settings {
         geometry: Kind::Scara.geometry(),
         ..Settings::default()
     };
     let mut trajectory = Trajectory::new(&settings).unwrap();
-    for elbow_rad in [0.02, 0.6, 2.0] {
-        let pose = |side: f64| JointAngles([0.2, side * elbow_rad, -0.1, 0.0]);
-        assert!(trajectory.place(pose(1.0)), "{elbow_rad} rad");
+    for second_rad in [0.02, 0.6, 2.0] {
+        let pose = |side: f64| JointAngles([0.2, side * second_rad, -0.1, 0.0]);
+        assert!(trajectory.place(pose(1.0)), "{second_rad} rad");
         let begun = trajectory.step();
-        assert!(begun.iter().all(|r| (r.position_rad[1] - elbow_rad).abs() < 1.0e-9));
-        assert!(!trajectory.place(pose(-1.0)), "{elbow_rad} rad");
+        assert!(begun.iter().all(|r| (r.position_rad[1] - second_rad).abs() < 1.0e-9));
+        assert!(!trajectory.place(pose(-1.0)), "{second_rad} rad");
         assert_eq!(trajectory.command(MotionCommand::Start), Err(MotionRefusal::NotPlaced));
     }
 }
