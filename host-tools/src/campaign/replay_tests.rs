@@ -13,7 +13,7 @@ use etherpen::config::Config;
 use std::collections::BTreeSet;
 
 /// Seeds whose first faults are replayed.
-const SEEDS: std::ops::Range<u64> = 2_000..2_120;
+const SEEDS: std::ops::Range<u64> = 2_000..2_200;
 
 /// Keeps the black box of the first fault.
 struct Recorded<'e> {
