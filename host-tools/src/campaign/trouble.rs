@@ -181,7 +181,7 @@ mod tests {
                     let script: Script = format!("ms 1 {words}")
                         .parse()
                         .unwrap_or_else(|cause| panic!("{words}: {cause}"));
-                    let slaves = chain.slaves + if chain.terminals.is_empty() { 2 } else { 0 };
+                    let slaves = chain.slaves + if chain.terminals.is_empty() { 3 } else { 0 };
                     script.check(slaves).unwrap_or_else(|cause| panic!("{words}: {cause}"));
                 }
             }
