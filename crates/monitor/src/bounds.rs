@@ -56,6 +56,8 @@ pub(crate) struct JointBounds {
     /// Widening of the range while something is disturbed.
     pub(crate) disturbed_rad: f64,
     pub(crate) speed_rad_s: f64,
+    /// Greatest speed while the axes are led to their home switches.
+    pub(crate) search_rad_s: f64,
     pub(crate) acceleration_rad_s2: f64,
     /// Rise of the speed in a second while something is disturbed, rad/s2.
     pub(crate) disturbed_rad_s2: f64,
@@ -73,6 +75,7 @@ impl JointBounds {
             high_rad: limits.range_rad[1] + RANGE_RAD,
             disturbed_rad: END_STOP_RAD - RANGE_RAD,
             speed_rad_s: fastest * JOINT_SPEED_PART + JOINT_SPEED_RAD_S,
+            search_rad_s: limits.search_rad_s.abs() * JOINT_SPEED_PART + JOINT_SPEED_RAD_S,
             acceleration_rad_s2,
             // A correction can turn round within a millisecond; a larger one is a fault.
             disturbed_rad_s2: acceleration_rad_s2 + 2.0 * added * 1_000.0,

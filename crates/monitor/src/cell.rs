@@ -26,6 +26,8 @@ pub struct JointLimits {
     pub following_error_max_rad: f64,
     /// Largest velocity command, rad/s.
     pub output_max_rad_s: f64,
+    /// Speed at which the axis is led to its home switch, rad/s; 0 without one.
+    pub search_rad_s: f64,
     /// Angle at the synchronisation mark, rad.
     pub mark_rad: f64,
     /// Change of the angle by one motor revolution, after which a single-turn resolver shows the same position, rad.
@@ -44,6 +46,7 @@ impl Default for JointLimits {
             feedback_gain_per_s: 80.0,
             following_error_max_rad: 0.05,
             output_max_rad_s: 27.0,
+            search_rad_s: 0.0,
             mark_rad: 0.3,
             turn_rad: core::f64::consts::TAU / 12.0,
         }

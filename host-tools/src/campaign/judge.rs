@@ -578,6 +578,10 @@ fn cell(config: &Config) -> monitor::Cell {
             feedback_gain_per_s: settings.feedback_gain_per_s,
             following_error_max_rad: settings.following_error_max_rad,
             output_max_rad_s: settings.output_max_rad_s,
+            search_rad_s: match settings.home.io {
+                Some(_) => settings.home.speed_rad_s.abs().max(settings.home.latch_rad_s.abs()),
+                None => 0.0,
+            },
             mark_rad: settings.sync_angle_rad,
             turn_rad: core::f64::consts::TAU / settings.gear.abs(),
         });

@@ -290,6 +290,10 @@ impl Orders {
             Command::Search => {
                 if self.searching.answer() {
                     self.begin(Order::Search);
+                    // It is accepted at rest only: what was asked for before it is not carried out.
+                    self.moving.forget();
+                    self.path.forget();
+                    self.jogging.forget();
                 }
             }
             Command::Cancel => {
@@ -402,6 +406,11 @@ impl Orders {
         };
         let is_jogged = self.jog_ends_ms.is_some_and(|ends_ms| now_ms <= ends_ms);
         is_asked || is_ordered || is_jogged
+    }
+
+    /// Whether the axes may be on their way to their home switches.
+    pub(crate) fn may_search(&self) -> bool {
+        self.order == Order::Search || self.searching.is_waiting()
     }
 
     /// Whether a drawing, or its continuation, was ordered and is not answered.

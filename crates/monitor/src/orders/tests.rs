@@ -171,6 +171,15 @@ fn a_search_permits_motion_with_unknown_joints_until_it_is_refused_cancelled_or_
         rig
     };
     assert_eq!(searching().run(1_000), Ok(()));
+    // A drawing that was asked for before, and whose refusal was lost, is not the order that counts.
+    let mut rig = powered();
+    rig.input(Input::Commanded(Command::Resume));
+    assert_eq!(rig.run(400), Ok(()));
+    rig.command(Command::Search);
+    rig.report(Report::Homed(false));
+    rig.report(Report::Mode(Mode::Moving));
+    rig.accelerate_to(0.1);
+    assert_eq!(rig.run(1_500), Ok(()));
     let mut rig = powered();
     rig.input(Input::Commanded(Command::Search));
     rig.report(Report::Refused(Command::Search));

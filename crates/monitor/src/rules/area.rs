@@ -1,8 +1,8 @@
 //! Area: joints stay in their ranges, and the tool in the work area.
 //!
 //! A joint may be 0.005 rad beyond its range: the planner keeps a margin of its own. While something is disturbed or
-//! stopping, the mechanical end stops bound it, 0.05 rad beyond the range; a joint that was brought there may only come
-//! nearer.
+//! stopping, and on the way to the home switches, behind which an axis brakes, the mechanical end stops bound it, 0.05 rad
+//! beyond the range; a joint that was brought there may only come nearer.
 //!
 //! The tool may be the following error and 0.3 mm outside the work area, whose floor is also the paper less the
 //! pressing depth. A stop adds how far the tool slides; feedback that is not true adds the deviation that is promised
@@ -30,7 +30,7 @@ impl Area {
     pub(crate) fn check(&mut self, scene: &Scene<'_>) -> Finding {
         let motion = scene.motion;
         // In the first millisecond any place within the end stops is where the robot was found.
-        let is_sound = scene.is_sound() && self.found_mm.is_some();
+        let is_sound = scene.is_sound() && self.found_mm.is_some() && !scene.disturbances.searches();
         for axis in motion.each_axis() {
             let (angle, joint) = (motion.angles_rad[axis], &scene.bounds.joints[axis]);
             let found_rad = &mut self.found_rad[axis];

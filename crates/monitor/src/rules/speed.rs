@@ -3,6 +3,9 @@
 //! A joint: the configured limit, plus the correction that the controller adds before the following error is a fault
 //! (gain times largest error), at most the largest command; 5 % and 0.1 rad/s for the overshoot of a velocity loop.
 //!
+//! On the way to the home switches, in sound motion: the speed of the search with that overshoot. The tool's speed is then
+//! what the joints make of it.
+//!
 //! The tool, in sound motion: the configured speed times the override, 5 % and 20 mm/s. Single moves, jogs and lifts
 //! are not scaled by the override. Where only legs with the pen down are near and the pen touches, the drawing speed
 //! counts, else the travel speed. An override counts from its command until the path has slowed down after a lower one.
@@ -39,6 +42,12 @@ impl Speed {
             self.too_fast_ms = 0;
             return Ok(());
         }
+        if scene.orders.may_search() {
+            self.too_fast_ms = 0;
+            // Until the order is answered, an earlier motion may go on.
+            let is_known = scene.orders.order == Order::Search;
+            return if is_known { search(scene) } else { Ok(()) };
+        }
         let (speed, bound) = tool(scene);
         self.too_fast_ms = if speed > bound { self.too_fast_ms + 1 } else { 0 };
         if self.too_fast_ms < TOO_FAST_MS {
@@ -48,6 +57,19 @@ impl Speed {
         let text = format!("the tool moves at {speed:.1} mm/s, bound {bound:.1} mm/s at {percent} %");
         Err((Rule::Speed, text))
     }
+}
+
+/// The joints on the way to their switches.
+fn search(scene: &Scene<'_>) -> Finding {
+    let motion = scene.motion;
+    for axis in motion.each_axis() {
+        let (speed, bound) = (motion.speeds_rad_s[axis].abs(), scene.bounds.joints[axis].search_rad_s);
+        if speed > bound {
+            let text = format!("joint {axis} moves at {speed:.3} rad/s in the search, bound {bound:.3} rad/s");
+            return Err((Rule::Speed, text));
+        }
+    }
+    Ok(())
 }
 
 /// Speed of the tool and its bound, mm/s.
@@ -72,6 +94,8 @@ fn tool(scene: &Scene<'_>) -> (f64, f64) {
 
 #[cfg(test)]
 mod tests {
+    use crate::cell::Cell;
+    use crate::moment::{Command, Input, Mode, Report};
     use crate::rig::{Rig, broken};
     use crate::violation::Rule;
 
@@ -95,6 +119,28 @@ mod tests {
             rig.joints[1].angle_rad = value;
             assert!(broken(&rig.step(), Rule::Speed));
         }
+    }
+
+    #[test]
+    fn a_search_may_be_as_fast_as_its_switches_are_approached_however_slow_the_tool_is() {
+        let searching = |speed_rad_s: f64| {
+            let mut cell = Cell::default();
+            (cell.tool_speed_mm_s, cell.travel_speed_mm_s) = (1.0, 1.0);
+            cell.joints.iter_mut().for_each(|joint| joint.search_rad_s = 0.5);
+            let mut rig = Rig::with(cell);
+            rig.input(Input::Configured);
+            rig.command(Command::Enable);
+            rig.power(true);
+            assert_eq!(rig.run(600), Ok(()));
+            rig.command(Command::Search);
+            rig.report(Report::Homed(false));
+            rig.report(Report::Mode(Mode::Moving));
+            rig.accelerate_to(speed_rad_s);
+            rig.run(400)
+        };
+        assert_eq!(searching(0.6), Ok(()));
+        let found = searching(0.7);
+        assert!(broken(&found, Rule::Speed), "{found:?}");
     }
 
     #[test]

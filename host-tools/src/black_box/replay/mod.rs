@@ -93,9 +93,11 @@ fn stretch<'c>(contents: &'c Contents, config: &Config) -> Result<&'c [SampleEnt
         // A part of the axes cannot be homed, and an axis that comes back may be about to lose its home.
         let recent = after.get(index.saturating_sub(EVENT_MS as usize)..=index);
         let are_there = recent.is_some_and(|recent| recent.iter().all(|sample| sample.valid == [true; AXES]));
+        // An axis without a drive has a position from the configuration on; the events may not reach back so far.
+        let is_configured = sample.valid.iter().skip(config.bus.drives.into()).all(|valid| *valid);
         let is_uniform = sample.homed == [false; AXES] || sample.homed == [true; AXES] && are_there;
         let is_after = configured_ms.is_none_or(|ms| sample.t_ms.wrapping_sub(ms) < u32::MAX / 2);
-        is_uniform && is_after && (has_no_power(sample) || !without_velocity(config))
+        is_uniform && is_configured && is_after && (has_no_power(sample) || !without_velocity(config))
     };
     let fault = after.iter().position(|sample| sample.fault);
     let last = fault.unwrap_or(after.len()).saturating_sub(SETTLED_MS);

@@ -180,8 +180,9 @@ impl<'a, 'q> Player<'a, 'q> {
             self.follow();
         }
         let ordered_ms = before.t_ms.wrapping_sub(1);
-        let stops = self.events.happened(ordered_ms, 2, &Event::Mode(Mode::Stopping));
-        if ends && (stops || home.is_none()) && !self.runs_dry(index) {
+        // A robot that follows no setpoints, just after homing, stops too; one that brakes on its path still follows.
+        let stops = !now.following && self.events.happened(ordered_ms, 2, &Event::Mode(Mode::Stopping));
+        if (stops || ends && home.is_none()) && !self.runs_dry(index) {
             self.control.order(SamplerCommand::Power(Power::QuickStop));
         }
     }

@@ -10,10 +10,12 @@ use etherpen::link::message::PathAck;
 use etherpen::messages::Command;
 use etherpen::motion::Pen;
 use etherpen::robots::{JointAngles, Position};
+use std::f64::consts::TAU;
 use std::sync::Arc;
 
-/// Distance of all joints from their marks within which the operator homes at the marks, rad.
-const AT_MARKS_RAD: f64 = 0.15;
+/// Distance of all joints from their marks within which the operator homes at the marks, turns of the motor: from half a
+/// turn on, the mark of the next turn is nearer.
+const AT_MARKS_TURNS: f64 = 0.3;
 /// Longest wait for an answer, ms.
 const ANSWER_MAX_MS: u32 = 1_500;
 /// Silence after which the operator connects again, ms.
@@ -22,7 +24,7 @@ const SILENCE_MAX_MS: u64 = 3_000;
 const JOG_REPEAT_MS: u32 = 20;
 /// Time without progress after which the operator gives a drawing up, ms.
 const PATIENCE_MAX_MS: u32 = 8_000;
-/// Acknowledgements without effect after which the configuration is sent again: the bus may have become another one.
+/// Acknowledgements without effect after which the configuration is sent again: a board that was restarted has none.
 const ACKNOWLEDGED_MAX: u32 = 3;
 /// Drives that can be put in the place of another one: product code, and the name in the script of faults.
 const PRODUCTS: [(u32, &str); 2] = [(0x07D0_6014, "ax2000"), (0x0402, "cia402")];
@@ -152,11 +154,11 @@ impl Operator<'_> {
             .axes
             .iter()
             .take(self.chain.drives.len())
-            .map(|axis| axis.sync_angle_rad);
+            .map(|axis| (axis.sync_angle_rad, AT_MARKS_TURNS * TAU / axis.gear.abs()));
         let at_marks = angles_rad
             .iter()
             .zip(marks)
-            .all(|(angle, mark)| (angle - mark).abs() < AT_MARKS_RAD);
+            .all(|(angle, (mark, near_rad))| (angle - mark).abs() < near_rad);
         self.say(match at_marks {
             true => Command::Home,
             false => Command::HomeAt {
