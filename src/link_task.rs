@@ -162,6 +162,12 @@ impl<'a> LinkTask<'a> {
                 self.close_abandoned_path();
                 self.endpoint.answer(id, result);
             }
+            DeviceEvent::Stop { command } => {
+                self.events.command(now_ms, command);
+                if coordinator.command(command).is_ok() {
+                    endpoint.close_path();
+                }
+            }
             DeviceEvent::Path { vertices, last } => {
                 if let Err(refusal) = coordinator.path(&vertices, last) {
                     endpoint.refuse_vertex(refusal);

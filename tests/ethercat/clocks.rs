@@ -37,6 +37,7 @@ again! {
         a_slave_that_returns_while_another_is_identified_at_its_place_loses_nothing,
         a_slave_that_returns_before_one_that_is_being_identified_costs_no_other_its_address,
         another_product_in_a_slaves_place_is_refused_until_the_right_one_is_back,
+        a_coupler_that_nobody_uses_is_recognised_after_a_loss_of_its_power_at_any_time,
         an_extra_slave_is_reported_and_gets_no_process_data,
         a_cable_that_destroys_frames_costs_these_frames_and_is_named_by_its_ends,
         a_slave_whose_processor_hangs_costs_the_others_nothing_and_is_usable_again,

@@ -1,8 +1,10 @@
 //! Faults of slaves at every stage: states, information memory, mailbox, and the chain itself.
 
 use crate::rig::{Rig, idle_rig, idle_rig_of, rig};
+use etherpen::drives::io::IoTrigger;
 use etherpen::ethercat::diagnostics::{ServiceError, ServiceReply, ServiceRequest};
 use etherpen::ethercat::error::BusError;
+use etherpen::ethercat::slave_set::SlaveSet;
 use etherpen::ethercat::supervisor::BusEvent;
 use etherpen::ethercat::wire::coe::Object;
 use etherpen::robots::AXES;
@@ -498,6 +500,44 @@ pub(crate) fn a_drive_that_only_its_device_type_tells_is_replaced_by_one_with_an
             rig.operational();
             assert_well(&mut rig, "the new drive");
         }
+    }
+}
+
+#[test]
+pub(crate) fn a_coupler_that_nobody_uses_is_recognised_after_a_loss_of_its_power_at_any_time() {
+    // All drives fall silent with it for a moment: it lies before them, and the frames that are on their way are lost.
+    for at_ms in 0..20 {
+        let mut rig = idle_rig_of(CellOptions {
+            slaves: std::iter::once(SlaveKind::Ek1100)
+                .chain(vec![SlaveKind::Ax2000; AXES])
+                .collect(),
+            ..CellOptions::default()
+        });
+        rig.setup.terminals = SlaveSet::NONE;
+        rig.start();
+        rig.operational();
+        rig.run_ms(50 + at_ms);
+        let lasts_ms = [20, 50, 300, 1_246][at_ms as usize % 4];
+        rig.cell.inject(Fault::Power(1, lasts_ms));
+        rig.run_ms(lasts_ms as u32 + 1_000);
+        rig.recover();
+        rig.run_ms(2_000);
+        // What the critical side sees of the states is OP alone, and it stays so.
+        for _ in 0..200 {
+            rig.millisecond();
+            let seen = rig.group.bus_state().al_status;
+            assert_eq!(seen, Some(cell::AlState::Operational as u8), "{at_ms}: {:#?}", rig.log);
+        }
+        let introduced = rig.log.iter().rev().find_map(|event| match event {
+            BusEvent::Slave {
+                position: 0, report, ..
+            } => Some(*report),
+            _ => None,
+        });
+        assert!(
+            introduced.is_some_and(|report| report.status != 0),
+            "{at_ms}: {introduced:?}"
+        );
     }
 }
 

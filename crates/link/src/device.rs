@@ -56,6 +56,12 @@ pub enum DeviceEvent<P: Protocol> {
         /// What to do.
         command: P::Command,
     },
+    /// Carry out this stop. It comes from a program without a session, or at a port while another one holds the link, and it
+    /// is not answered.
+    Stop {
+        /// The stop.
+        command: P::Command,
+    },
     /// The next vertices of the path; there is room for all of them.
     Path {
         /// The vertices; empty if the message only announces the end of the path.
@@ -191,7 +197,7 @@ impl<P: Protocol, const SAMPLES: usize> DeviceEndpoint<P, SAMPLES> {
             }
             PortDecision::Dropped => {
                 self.counts.other_port = self.counts.other_port.wrapping_add(1);
-                return None;
+                return decode(payload).ok().and_then(Self::stop_in);
             }
         }
         if greeting_version(payload).is_some_and(|version| version != P::VERSION) {
@@ -210,7 +216,7 @@ impl<P: Protocol, const SAMPLES: usize> DeviceEndpoint<P, SAMPLES> {
         if self.session.is_none() {
             self.welcome_due = true;
             self.counts.refused = self.counts.refused.wrapping_add(1);
-            return None;
+            return Self::stop_in(message);
         }
         self.heard_ms = now_ms;
         match message {
@@ -232,6 +238,16 @@ impl<P: Protocol, const SAMPLES: usize> DeviceEndpoint<P, SAMPLES> {
             HostMessage::Measure { id, request } => {
                 Single::begin(&mut self.measuring, id).then_some(DeviceEvent::Measure { id, request })
             }
+        }
+    }
+
+    /// The stop in a message of a program that has no session: whoever orders it, it is carried out.
+    fn stop_in(message: HostMessage<P>) -> Option<DeviceEvent<P>> {
+        match message {
+            HostMessage::Command { command, .. } if P::effect(&command) == CommandEffect::Stops => {
+                Some(DeviceEvent::Stop { command })
+            }
+            _ => None,
         }
     }
 

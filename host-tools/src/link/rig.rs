@@ -197,6 +197,11 @@ impl Rig {
                 }
                 self.endpoint.answer(id, result);
             }
+            DeviceEvent::Stop { command } => {
+                if self.command(command, now_ms).is_ok() {
+                    self.commands.push(command);
+                }
+            }
             DeviceEvent::Path { vertices, last } => {
                 for vertex in vertices {
                     let index = self.vertices.len() as u32;

@@ -257,7 +257,8 @@ pub async fn discover<const SLAVES: usize, const MESSAGE: usize>(
     Ok(clocks)
 }
 
-/// Makes all slaves latch the times of one frame, and computes the delays. Slaves that do not answer keep theirs.
+/// Makes all slaves latch the times of one frame, and computes the delays. Slaves that do not answer keep theirs; `answers`
+/// returns false for those that are known to be lost, which are not waited for.
 ///
 /// # Errors
 /// As [`AcyclicPort::send_until_counted`].
@@ -265,11 +266,16 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
     clocks: &mut BusClocks<SLAVES>,
+    answers: impl Fn(usize) -> bool,
 ) -> Result<(), BusError> {
     // Only one latching frame counts: a repeated one would leave slaves with times of different frames.
     port.broadcast_write(register::DC_RECEIVE_TIME, &[0; 4]).await?;
     let (mut there, mut ports) = (Vec::<usize, SLAVES>::new(), Vec::<PortTimes, SLAVES>::new());
     for (position, (station, slave)) in stations.iter().zip(clocks.slaves.iter_mut()).enumerate() {
+        if !answers(position) {
+            slave.measured = false;
+            continue;
+        }
         slave.measured = match read_times(port, *station, slave).await {
             // Another slave is lost; the frames bypass it.
             Err(BusError::WorkingCounter { actual: 0, .. }) => false,
@@ -343,7 +349,7 @@ pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
         return Ok(clocks);
     };
     clocks.told_by = Some(reference);
-    measure(port, stations, &mut clocks).await?;
+    measure(port, stations, &mut clocks, |_| true).await?;
     for (position, station) in stations.iter().enumerate() {
         if !clocks.has_clock(position) {
             continue;
@@ -359,7 +365,8 @@ pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
 }
 
 /// Sets the clock of a slave that was switched off or cut off to the time of the bus. The other slaves keep their time,
-/// even if this slave is the reference. If no other clock has the time of the bus, this one continues it.
+/// even if this slave is the reference. If no other clock has the time of the bus, this one continues it. `answers` returns
+/// false for slaves that are lost; what they say on their return is not the time of the bus.
 ///
 /// # Errors
 /// As [`AcyclicPort::send_until_counted`].
@@ -368,11 +375,13 @@ pub async fn restore<const SLAVES: usize, const MESSAGE: usize>(
     stations: &[u16],
     clocks: &mut BusClocks<SLAVES>,
     position: usize,
+    answers: impl Fn(usize) -> bool,
 ) -> Result<(), BusError> {
+    let answers = |other: usize| other == position || answers(other);
     let Some(station) = stations.get(position).filter(|_| clocks.has_clock(position)) else {
         return Ok(());
     };
-    measure(port, stations, clocks).await?;
+    measure(port, stations, clocks, answers).await?;
     let is_source = |slave: &SlaveClock| slave.width.is_some() && slave.measured && slave.is_set;
     let mut others = clocks.slaves.iter().enumerate().filter(|(other, _)| *other != position);
     let source = others.find(|(_, slave)| is_source(slave)).map(|(other, _)| other);
@@ -386,7 +395,8 @@ pub async fn restore<const SLAVES: usize, const MESSAGE: usize>(
         .unwrap_or_else(|| continued_ns().wrapping_sub(slave.local_ns));
     write_offset(port, *station, position, clocks, offset_ns).await?;
     let measured: Vec<bool, SLAVES> = clocks.slaves.iter().map(|slave| slave.measured).collect();
-    tell_delays(port, stations, clocks, |position| measured.get(position) == Some(&true)).await
+    let are_there = |position| answers(position) && measured.get(position) == Some(&true);
+    tell_delays(port, stations, clocks, are_there).await
 }
 
 /// Tells the clocks their delays from the slave that distributes its time, where they were told others: another slave
@@ -401,12 +411,7 @@ pub async fn tell_delays<const SLAVES: usize, const MESSAGE: usize>(
     clocks: &mut BusClocks<SLAVES>,
     answers: impl Fn(usize) -> bool,
 ) -> Result<(), BusError> {
-    // Delays of different measurements have different beginnings.
     let is_there = |position: usize, slave: &SlaveClock| slave.width.is_some() && slave.is_set && answers(position);
-    let mut there = clocks.slaves.iter().enumerate();
-    if there.any(|(position, slave)| is_there(position, slave) && !slave.measured) {
-        measure(port, stations, clocks).await?;
-    }
     let source = clocks.distributor(&answers);
     if let Some(station) = source.and_then(|source| stations.get(source))
         && source != clocks.told_by
@@ -415,6 +420,11 @@ pub async fn tell_delays<const SLAVES: usize, const MESSAGE: usize>(
         // fell silent.
         restart_loop(port, *station).await?;
         clocks.told_by = source;
+    }
+    // Delays of different measurements have different beginnings.
+    let mut there = clocks.slaves.iter().enumerate();
+    if there.any(|(position, slave)| is_there(position, slave) && !slave.measured) {
+        measure(port, stations, clocks, &answers).await?;
     }
     for (position, station) in stations.iter().enumerate() {
         let delay_ns = clocks.delay_from_ns(source, position);

@@ -319,7 +319,9 @@ fn a_slave_that_was_switched_off_takes_the_time_of_the_others_also_as_the_refere
         clocks.was_off(3);
         let writes = chain.log.matches("Fpwr").count();
         chain
-            .run(async |mut port: AcyclicPort<'static, 64>| restore(&mut port, &STATIONS, &mut clocks, position).await)
+            .run(async |mut port: AcyclicPort<'static, 64>| {
+                restore(&mut port, &STATIONS, &mut clocks, position, |_| true).await
+            })
             .expect("the clock");
         assert_eq!(chain.log.matches("Fpwr").count() - writes, 3, "only its own registers");
         let passed_ns = chain.slaves[1].system_ns(chain.true_ns) - before_ns;
@@ -390,7 +392,9 @@ fn the_first_clock_to_return_continues_the_time_when_all_were_off() {
         }
         for slave in [1, 0] {
             models
-                .run(async |mut port: AcyclicPort<'static, 64>| restore(&mut port, &STATIONS, &mut clocks, slave).await)
+                .run(async |mut port: AcyclicPort<'static, 64>| {
+                    restore(&mut port, &STATIONS, &mut clocks, slave, |_| true).await
+                })
                 .expect("the clock");
         }
         (clocks, before_ns, models.slaves[0].system_ns(models.true_ns))

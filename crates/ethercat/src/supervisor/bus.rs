@@ -64,6 +64,8 @@ pub(super) struct Bus<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     pub(super) generation: u8,
     worked_on: Option<usize>,
     pub(super) cable_next: usize,
+    /// Whether a slave has fallen silent since the chain was last looked through: it may return without its address.
+    pub(super) has_lost: bool,
     pub(super) events_dropped: u32,
     /// A long value between two pieces of its transfer.
     pub(super) value: Vec<u8, MESSAGE>,
@@ -91,6 +93,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             generation: 0,
             worked_on: None,
             cable_next: 0,
+            has_lost: false,
             events_dropped: 0,
             value: Vec::new(),
             file: None,
@@ -212,8 +215,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
                 || slave.is_terminal && slave.condition != Condition::Operational;
             match (worked_on == Some(number), idle) {
                 (true, _) => STATUS_MASK,
-                // A terminal that returns is in INIT, and waits there for its repair.
-                (false, true) if slave.condition == Condition::Lost && slave.is_terminal => AlState::Init as u16,
+                // A slave that returns is in INIT: a terminal waits there for its repair, an unused one to be recognised.
+                (false, true) if slave.condition == Condition::Lost && slave.member.is_none() => AlState::Init as u16,
                 (false, true) => u16::from(slave.report.status),
                 (false, false) => 0,
             }
@@ -343,8 +346,9 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         self.clocks.hold(true);
         self.send_plan().await;
         self.port.wait_ms(PLAN_MS).await;
-        let stations = self.stations();
-        let restored = clock::restore(&mut self.port, &stations, &mut self.clocks, number).await;
+        let (stations, there) = (self.stations(), self.answering());
+        let answers = |position: usize| there.get(position).is_some_and(|there| *there);
+        let restored = clock::restore(&mut self.port, &stations, &mut self.clocks, number, answers).await;
         if let Some(slave) = self
             .slaves
             .get_mut(number)
@@ -455,6 +459,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         }
         (slave.condition, slave.report) = (condition, report);
         let position = slave.position as u8;
+        self.has_lost |= condition == Condition::Lost;
         match condition {
             Condition::Lost => self.emit(BusEvent::SlaveLost { position }).await,
             Condition::LeftOperational => self.emit(BusEvent::SlaveLeft { position, report }).await,

@@ -9,8 +9,8 @@
 
 use super::super::acyclic::AcyclicPort;
 use super::super::coe::{DEVICE_TYPE, ObjectDictionary};
-use super::super::configure::discovery;
 use super::super::configure::identification::{self, ExpectedIdentity, KnownIdentity};
+use super::super::configure::{discovery, information};
 use super::super::driver::{SlaveFactory, is_asked_for_device_type};
 use super::super::error::BusError;
 use super::super::event::Step;
@@ -203,11 +203,13 @@ pub(super) async fn ask_device_type<F: SlaveFactory, const MESSAGE: usize>(
     let station = slave.station();
     let mut mailbox = Mailbox::new::<MESSAGE>(station, slave.fixed.mailbox_out, slave.fixed.mailbox_in)?;
     discovery::mailbox_managers(port, station, &slave.fixed).await?;
+    information::give_to_slave(port, station).await;
     let device_type = match state::change(port, station, AlState::PreOperational).await {
         Ok(()) => ObjectDictionary::new(port, &mut mailbox).read(DEVICE_TYPE, 4).await,
         Err(error) => Err(error),
     };
     // A slave that does not return to INIT is detected when it is used.
     let _ = state::change(port, station, AlState::Init).await;
+    information::take(port, station).await;
     device_type.map(F::by_device_type)
 }

@@ -387,6 +387,10 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
     /// Queries all slaves for their state, and rescans the chain if their number has changed.
     async fn inspect_all(&mut self) {
         self.bus.inspect(0..SLAVES).await;
+        if core::mem::take(&mut self.bus.has_lost) {
+            // As many slaves as before may be others, or ones without their addresses.
+            (self.slaves_sorted, self.rescans_failed) = (self.bus.present(), 0);
+        }
         let there = self.inbox.slaves();
         if there > self.bus.present() && there != self.slaves_sorted {
             let Self { bus, inbox, .. } = self;
@@ -438,8 +442,9 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         let _ = inbox.guard(expected, Work::Background, work).await;
     }
 
-    /// Brings every slave in use that is not in OP back to OP.
+    /// Looks through the chain, and brings every slave in use that is not in OP back to OP.
     async fn recover(&mut self) {
+        self.bus.has_lost = true;
         self.inspect_all().await;
         let transferring = self.bus.transferring().await;
         for number in 0..self.bus.slaves.len() {

@@ -190,6 +190,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             slave.known = known;
             if slave.fixed.identity != fixed.identity {
                 (slave.fixed, slave.device) = (fixed, F::by_identity(&fixed.identity));
+                slave.process_data = None;
             }
         }
     }

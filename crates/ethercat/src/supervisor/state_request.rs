@@ -95,6 +95,14 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return Err(ServiceError::Interrupted);
         };
         let station = slave.station();
+        // What takes a member's place is asked for its driver in INIT.
+        let from = match slave.member.is_some() && slave.device.is_none() {
+            true => {
+                state::change(&mut self.port, station, AlState::Init).await?;
+                Some(AlState::Init)
+            }
+            false => from,
+        };
         // The process data of another master are not known.
         let from = match from {
             Some(AlState::SafeOperational) if (slave.process_data, slave.own_data) == (None, None) => {
@@ -107,6 +115,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             self.generation = self.generation.wrapping_add(1);
             slave.generation = self.generation;
             slave.report = AlReport::default();
+            self.recognise(number).await?;
             self.reach_pre_operational(number).await?;
         }
         if target == AlState::PreOperational {

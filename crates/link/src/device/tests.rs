@@ -325,6 +325,31 @@ fn a_second_host_at_the_other_port_changes_nothing_while_the_first_one_speaks() 
 }
 
 #[test]
+fn a_stop_is_carried_out_whoever_orders_it_and_changes_no_session() {
+    let stop = DeviceEvent::Stop { command: Command::Stop };
+    // Before any greeting.
+    let mut endpoint: DeviceEndpoint = DeviceEndpoint::new(IDENTITY);
+    assert_eq!(
+        say_on(&mut endpoint, LinkPort::Serial, 0, &command(1, Command::Stop)),
+        Some(stop.clone())
+    );
+    assert!(!endpoint.connected());
+    // At the port of nobody's link, with the number of a command that waits for its answer.
+    let mut endpoint = drawing();
+    say(&mut endpoint, 1, 9, &command(7, Command::Enable));
+    assert_eq!(
+        say_on(&mut endpoint, LinkPort::Usb, 2, &command(7, Command::Stop)),
+        Some(stop)
+    );
+    assert_eq!((endpoint.port(), endpoint.connected()), (LinkPort::Serial, true));
+    let answered = |message: &DeviceMessage| matches!(message, DeviceMessage::Answer { .. });
+    assert!(
+        !hear(&mut endpoint, 3).iter().any(answered),
+        "nobody asked for an answer"
+    );
+}
+
+#[test]
 fn a_host_at_the_other_port_takes_over_when_the_cable_of_the_first_one_has_gone() {
     let mut endpoint = drawing();
     let gone_ms = crate::ports::HELD_MS;
