@@ -473,7 +473,7 @@ impl Application {
         let may_have_power = self.power.is_on() || !self.condition.unpowered;
         if may_have_power {
             self.mode = Mode::Stopping;
-            let keeps_path = fault.keeps_path() && self.fault.is_none_or(|first| first.keeps_path());
+            let keeps_path = fault.keeps_path() && self.fault.is_some_and(|first| first.keeps_path());
             let how = if keeps_path { Power::PathStop } else { Power::QuickStop };
             if self.stop.is_none() {
                 self.begin_stop(how);

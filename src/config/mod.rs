@@ -27,7 +27,7 @@ use crate::ethercat::event::WantedValue;
 use crate::ethercat::wire::coe::Object;
 use crate::hash::fnv1a;
 use crate::robot_bus::{PERIOD_NS, RobotBusSetup};
-use crate::robots::AXES;
+use crate::robots::{AXES, MAIN_AXES};
 use etherpen_motion::Settings;
 use heapless::Vec;
 use serde::{Deserialize, Serialize};
@@ -161,6 +161,13 @@ impl Config {
             return Err(IoError::PenWithoutHeight);
         }
         terminal::check(self)
+    }
+
+    /// The heights of a pen at an output, down and up, mm, on a machine without an axis of the height: it has no others.
+    pub fn pen_heights_mm(&self) -> Option<[f64; 2]> {
+        let has_height_axis = usize::from(self.bus.drives) >= MAIN_AXES;
+        let (down_mm, lift_mm) = (self.paper.pen_down_z_mm, self.paper.pen_lift_mm);
+        (self.pen.kind == PenLiftKind::Output && !has_height_axis).then_some([down_mm, down_mm + lift_mm])
     }
 
     /// Checks that each switch tells the place of one axis, which can be led to it by itself.

@@ -341,10 +341,11 @@ impl IoReport {
         if role.stops() {
             let axis = point.axis;
             let stop = IoStop { io, role, axis, cause };
-            // An open emergency stop comes before all others: it lasts without power too.
+            // An open emergency stop comes before all others: it lasts without power too. A limit switch comes last: in a
+            // search it is none.
             if self
                 .stop
-                .is_none_or(|known| stop.is_interlock() && !known.is_interlock())
+                .is_none_or(|known| stop.is_interlock() && !known.is_interlock() || known.is_limit())
             {
                 self.stop = Some(stop);
             }

@@ -47,8 +47,6 @@ pub(super) struct PathStop {
     place: f64,
     /// Milliseconds of the path in a millisecond, 0 to 1.
     rate: f64,
-    /// Number of setpoints made.
-    made: u16,
     last: Setpoint,
     envelope: Envelope,
 }
@@ -60,7 +58,6 @@ impl PathStop {
             ahead: Window::new(),
             place: 0.0,
             rate: 0.0,
-            made: 0,
             last: Setpoint::default(),
             envelope: Envelope::default(),
         }
@@ -88,7 +85,7 @@ impl PathStop {
         if quick_stop_s > QUICK_STOP_MAX_S {
             return false;
         }
-        (self.last, self.place, self.rate, self.made) = (*last, 0.0, 1.0, 0);
+        (self.last, self.place, self.rate) = (*last, 0.0, 1.0);
         self.ahead.clear();
         for place in kept - 1..window.length() {
             if let Some(setpoint) = window.get(place) {
@@ -104,7 +101,6 @@ impl PathStop {
     /// The next setpoint behind those kept; `None` if the ring has run dry. `axes` are those that have drives.
     #[cold]
     pub(super) fn step(&mut self, ring: &mut Consumer<'_, Queued>, epoch: u8, axes: &[Axis]) -> Option<Setpoint> {
-        self.made = self.made.saturating_add(1);
         if self.rate <= 0.0 {
             self.last.velocity_rad_s = [0.0; AXES];
             return Some(self.last);

@@ -2,7 +2,8 @@
 //!
 //! The output follows the height of the setpoints: it is switched on when the path goes down below the corner between travel
 //! and lowering, and off when it begins to go up. From that corner on, which the travel tolerance rounds, lowering takes the
-//! time of the pen; above it the tool may still be beside its line. Where no setpoint is followed the output is off.
+//! time of the pen; above it the tool may still be beside its line. Where no setpoint is followed, and in a stop, the output is
+//! off; a tool that stands low then keeps its pen up until the path goes down again.
 
 use crate::config::{Config, PenLiftKind};
 use crate::motion::{Pen, Setpoint};
@@ -24,6 +25,8 @@ pub struct PenSwitch {
     half_rad: f64,
     /// Whether an output lowers the pen.
     has_output: bool,
+    /// Whether the output is on.
+    is_on: bool,
 }
 
 impl PenSwitch {
@@ -36,15 +39,22 @@ impl PenSwitch {
             lowers_rad: joint(paper.pen_down_z_mm + config.pen.lift_mm(&config.motion, paper)),
             half_rad: joint(paper.pen_down_z_mm + 0.5 * paper.pen_lift_mm),
             has_output: config.pen.kind == PenLiftKind::Output,
+            is_on: false,
         }
     }
 
-    /// Whether the output is on at a setpoint that is followed.
-    pub(super) fn is_on(&self, setpoint: &Setpoint) -> bool {
+    /// Advances to a setpoint; returns whether the output is on. `may_lower` is whether the setpoint is followed and no stop
+    /// has begun.
+    pub(super) fn step(&mut self, may_lower: bool, setpoint: &Setpoint) -> bool {
+        self.is_on = may_lower && self.has_output && self.is_down(setpoint);
+        self.is_on
+    }
+
+    fn is_down(&self, setpoint: &Setpoint) -> bool {
         let (height_rad, climb_rad_s) = (setpoint.position_rad[HEIGHT], setpoint.velocity_rad_s[HEIGHT]);
         let lowers = climb_rad_s <= -STILL_RAD_S && height_rad <= self.lowers_rad;
-        let stands_low = climb_rad_s.abs() < STILL_RAD_S && height_rad < self.half_rad;
-        self.has_output && (setpoint.pen == Pen::Down || lowers || stands_low)
+        let stands_low = self.is_on && climb_rad_s.abs() < STILL_RAD_S && height_rad < self.half_rad;
+        setpoint.pen == Pen::Down || lowers || stands_low
     }
 }
 
@@ -62,21 +72,21 @@ mod tests {
             },
             ..Config::default()
         };
-        let switch = PenSwitch::new(&config);
+        let mut switch = PenSwitch::new(&config);
         let (up_mm, lift_mm) = (
             config.paper.pen_down_z_mm + config.paper.pen_lift_mm,
             config.paper.pen_lift_mm,
         );
         // Below it the travel tolerance is used up.
         let corner_mm = up_mm - config.motion.travel_tolerance_mm - 1e-6;
-        let is_on = |z_mm: f64, climb_mm_s: f64, pen: Pen| {
+        let mut is_on = |z_mm: f64, climb_mm_s: f64, pen: Pen| {
             let mut setpoint = Setpoint {
                 pen,
                 ..Setpoint::default()
             };
             setpoint.position_rad[HEIGHT] = z_mm / LINEAR_MM_PER_RAD;
             setpoint.velocity_rad_s[HEIGHT] = climb_mm_s / LINEAR_MM_PER_RAD;
-            switch.is_on(&setpoint)
+            switch.step(true, &setpoint)
         };
         for (z_mm, climb_mm_s, pen, expected) in [
             (up_mm, 0.0, Pen::Up, false),
@@ -85,6 +95,8 @@ mod tests {
             (up_mm - 0.9 * lift_mm, 0.0, Pen::Up, true),
             (up_mm - lift_mm, 0.0, Pen::Down, true),
             (up_mm - lift_mm, 1.0, Pen::Up, false),
+            // Low, but not lowered since.
+            (up_mm - 0.9 * lift_mm, 0.0, Pen::Up, false),
             // A slow way down over the sheet to where the pen is up.
             (up_mm + 26.0, -4.0, Pen::Up, false),
             (up_mm + 0.01, -4.0, Pen::Up, false),

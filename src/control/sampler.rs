@@ -290,7 +290,8 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         let output_rad_s = self.control(following);
         self.supervise(following, underrun, &output_rad_s);
         self.write(following, &output_rad_s);
-        let pen = following && self.may_lower_pen() && self.pen.is_on(&self.now.setpoint);
+        let may_lower = following && self.may_lower_pen();
+        let pen = self.pen.step(may_lower, &self.now.setpoint);
         self.io.write(&mut self.group, self.supervision.fault().is_some(), pen);
         let telegram = self.group.trigger_output();
         let sending = match may_send(&self.bus, self.has_path) {

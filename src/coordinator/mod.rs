@@ -64,6 +64,8 @@ pub struct Coordinator<'a> {
     application: Application,
     /// Checks positions against the configuration. Absent until a configuration has been taken.
     admission: Option<Admission>,
+    /// Heights of the pen, down and up, mm, on a machine whose pen has no others.
+    pen_heights_mm: Option<[f64; 2]>,
     /// Checks poses against the configuration. Absent until a configuration has been taken.
     homing_check: Option<HomingCheck>,
     config_hash: Option<u64>,
@@ -102,6 +104,7 @@ impl<'a> Coordinator<'a> {
             ends,
             application: Application::new(),
             admission: None,
+            pen_heights_mm: None,
             homing_check: None,
             config_hash: None,
             condition: Condition::UNKNOWN,

@@ -33,6 +33,7 @@ impl Coordinator<'_> {
             return Err(ConfigRefusal::NotInMode(self.application.mode()));
         }
         self.admission = Some(Admission::new(&config.motion_settings())?);
+        self.pen_heights_mm = config.pen_heights_mm();
         self.homing_check = Some(HomingCheck::new(config));
         self.config_hash = Some(hash);
         self.slaves.clear();
@@ -74,6 +75,12 @@ impl Coordinator<'_> {
             self.recovery_due = true;
             return Ok(());
         }
+        let command = match (command, self.pen_heights_mm) {
+            (Command::Move { position }, Some(heights_mm)) => Command::Move {
+                position: up_or_down(position, heights_mm),
+            },
+            (other, _) => other,
+        };
         self.check_target(command)?;
         self.check_homing(command)?;
         self.application.command(command)?;
@@ -163,11 +170,13 @@ impl Coordinator<'_> {
     /// Progress of the path.
     pub fn path_progress(&self) -> PathProgress {
         let motion = self.motion;
+        // The trajectory task is ahead of the axes, which may have stopped on its path before its end.
+        let may_be_ahead = matches!(self.application.mode(), Mode::Drawing | Mode::Stopping | Mode::Fault);
         let followed = self.report.map_or(0, |report| report.setpoint.vertex);
         PathProgress {
             executed: motion.executed.min(followed),
             free: self.free(),
-            finished: motion.finished && motion.orders == self.orders_sent && self.application.mode() != Mode::Drawing,
+            finished: motion.finished && motion.orders == self.orders_sent && !may_be_ahead,
         }
     }
 
@@ -195,6 +204,18 @@ impl Coordinator<'_> {
     pub fn measure(&self, request: MeasurementRequest) -> MeasurementAnswer {
         self.ends.measurements.answer(request)
     }
+}
+
+/// A position with the pen up or down: nothing holds it between these heights, mm.
+fn up_or_down(position: Position, [down_mm, up_mm]: [f64; 2]) -> Position {
+    let z_mm = match position.z_mm {
+        z_mm if z_mm <= down_mm || z_mm >= up_mm => z_mm,
+        z_mm if z_mm < 0.5 * (down_mm + up_mm) => down_mm,
+        // Not a number is refused later.
+        z_mm if z_mm.is_finite() => up_mm,
+        z_mm => z_mm,
+    };
+    Position { z_mm, ..position }
 }
 
 fn millimetres(position_um: [i32; 3]) -> Position {

@@ -172,6 +172,30 @@ pub(crate) fn the_pen_is_up_until_the_machine_is_homed_in_a_search_and_on_the_wa
     });
     homes(&mut robot);
     is_off(&mut robot, "homed");
+    // Stopped with the pen on the paper: the tool stands low when power comes back, and the pen stays up.
+    let lowers = |robot: &mut Robot| {
+        robot.command(Command::Pen { pen: Pen::Up }).unwrap();
+        robot.wait_for(Mode::Moving);
+        robot.wait_for(Mode::Idle);
+        robot.command(Command::Pen { pen: Pen::Down }).unwrap();
+        robot.run_until("the pen is on", |robot| robot.outputs(TERMINAL) != 0);
+        robot.run_until("at rest", |robot| {
+            robot.mode() == Mode::Idle && robot.speed_rad_s() < 1e-3
+        });
+    };
+    lowers(&mut robot);
+    assert!(robot.cell().joints.0[2] * 100.0 < -29.9);
+    robot.command(Command::Stop).unwrap();
+    assert_described_standstill(&mut robot, |_| true);
+    robot.command(Command::Acknowledge).unwrap();
+    robot.wait_for(Mode::DrivesOff);
+    robot.command(Command::Enable).unwrap();
+    for _ in 0..1_000 {
+        robot.run(1);
+        is_off(&mut robot, "power comes back");
+    }
+    assert_eq!(robot.mode(), Mode::Idle);
+    lowers(&mut robot);
 }
 
 #[test]
@@ -215,8 +239,16 @@ pub(crate) fn a_way_down_that_ends_above_the_paper_is_travel_and_leaves_no_ink()
         }
         assert!((robot.cell().joints.0[0] - before).abs() > 0.1, "it has moved");
     };
-    // Up, down to the height of a lifted pen, up again, and half of the way down.
-    for (x_mm, z_mm) in [(-60.0, 3.5), (60.0, 0.0), (-60.0, 3.0), (60.0, 1.0)] {
+    // Up, down to the height of a lifted pen, up again, a part of the way down, and below the lifted pen: nothing holds the
+    // pen there, and it is nearer to that height than to the paper.
+    for (x_mm, z_mm) in [
+        (-60.0, 3.5),
+        (60.0, 0.0),
+        (-60.0, 3.0),
+        (60.0, 1.0),
+        (-60.0, -0.3),
+        (60.0, -0.9),
+    ] {
         go(x_mm, z_mm);
     }
     assert_eq!(robot.ink().len(), 0);

@@ -1,7 +1,8 @@
 //! The sampler while it brakes on the path: the setpoints of [`PathStop`](crate::control::path_stop) take the place of the
 //! ring's.
 //!
-//! Invariant: when a stop on the path ends, for whatever reason, the drives' quick stop begins in the same millisecond.
+//! Invariant: when a stop on the path ends by itself or by a fault, the drives' quick stop begins in the same millisecond. An
+//! order ends it too; while the robot stops, the operating modes give none but the quick stop.
 
 use super::Sampler;
 use crate::application::Power;
@@ -20,7 +21,6 @@ impl<G: IoTrigger + IoGroup> Sampler<'_, G> {
         }
         let may_keep = self.power == Power::On
             && self.epoch.is_some()
-            && self.search.is_none()
             && !self.supervision.stops_at_once()
             && self.robot.is_in_operation();
         let kept = self.setpoints_sent();
@@ -31,14 +31,14 @@ impl<G: IoTrigger + IoGroup> Sampler<'_, G> {
     }
 
     /// Number of setpoints, from that of the last command on, that the last command has used: its feed-forward lies between
-    /// the last two of them.
+    /// the last two of them, or, for a torque, is the difference of the last two.
     fn setpoints_sent(&self) -> usize {
         let controllers = self.controllers.iter().zip(&self.velocity_controllers);
         let leads = self.axes.iter().zip(controllers).take(self.used);
         let leads = leads.map(|(axis, (controller, velocity_controller))| match axis.mode {
             AxisMode::Velocity => controller.lead().whole,
             AxisMode::Position => controller.lead().whole.max(controller.position_lead().whole),
-            AxisMode::Torque => velocity_controller.lead().whole,
+            AxisMode::Torque => 1 + velocity_controller.lead().whole,
         });
         2 + leads.max().unwrap_or(0)
     }
