@@ -69,6 +69,8 @@ const _: () = {
 pub struct SupervisorEnd<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> {
     /// Plans to the critical side.
     pub plans: Producer<'a, CyclicPlan<F, SLAVES>>,
+    /// Frames that the critical side may send in each direction of a cycle.
+    pub frames: u8,
     /// Acyclic requests and their replies.
     pub port: AcyclicPort<'a, MESSAGE>,
     /// Bus states from the critical side.
@@ -145,6 +147,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
     pub fn new(end: SupervisorEnd<'a, F, SLAVES, MESSAGE>) -> Self {
         let SupervisorEnd {
             plans,
+            frames,
             port,
             observations,
             commands,
@@ -153,7 +156,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             answers,
         } = end;
         Self {
-            bus: Bus::new(port, plans, events),
+            bus: Bus::new(port, plans, frames, events),
             inbox: Inbox {
                 observations,
                 commands,
