@@ -37,10 +37,16 @@ const SILENT_CYCLES: u32 = 10;
 /// Most milliseconds that the supervisor catches up at once.
 const CATCH_UP_MS_MAX: u64 = 100;
 
-/// Most slaves on the bus: the exchange reports 32 at most.
-const SLAVES_MAX: usize = 32;
+/// Most slaves on the bus.
+pub const SLAVES_MAX: usize = 64;
+/// Frames of a cycle behind the first one: four hold what 64 slaves with the longest process data have besides the first.
+const FURTHER_FRAMES: usize = 4;
 
-type HostExchange<'a> = Exchange<'a, RobotDrives, SLAVES_MAX, BUS_MESSAGE_BYTES>;
+type HostExchange<'a> = Exchange<'a, RobotDrives, SLAVES_MAX, BUS_MESSAGE_BYTES, FURTHER_FRAMES>;
+type HostQueues = BusQueues<RobotDrives, SLAVES_MAX, BUS_MESSAGE_BYTES, FURTHER_FRAMES>;
+
+/// A function of the exchange that gives a telegram, empty when there is none.
+type Telegram<'q> = for<'t> fn(&'t mut HostExchange<'q>) -> &'t [u8];
 
 /// Why the master cannot run.
 #[derive(Debug)]
@@ -199,7 +205,7 @@ struct Worker {
 
 impl Worker {
     fn run(mut self, setup: Option<RobotBusSetup>) {
-        let mut queues = Box::new(BusQueues::<RobotDrives, SLAVES_MAX, BUS_MESSAGE_BYTES>::new());
+        let mut queues = Box::new(HostQueues::new());
         let (exchange_end, supervisor_end, mut application) = queues.split();
         let mut exchange = Exchange::new(exchange_end, MASTER_ADDRESS);
         let mut supervisor = Supervisor::new(supervisor_end);
@@ -240,8 +246,8 @@ impl Worker {
 
     /// Exchanges inputs, then outputs, and continues to receive until `until`.
     fn cycle(&mut self, exchange: &mut HostExchange, until: Instant) -> io::Result<()> {
-        self.transact(exchange, HostExchange::input_telegram, Arrival::Input)?;
-        self.transact(exchange, HostExchange::output_telegram, Arrival::Output)?;
+        self.transact(exchange, HostExchange::input_telegram, HostExchange::next_input_telegram)?;
+        self.transact(exchange, HostExchange::output_telegram, HostExchange::next_output_telegram)?;
         let mut frame = [0; FRAME_LEN_MAX];
         loop {
             let left = until.saturating_duration_since(Instant::now());
@@ -255,18 +261,18 @@ impl Worker {
         }
     }
 
-    /// Sends a telegram and waits for its reply.
+    /// Sends the telegrams of one direction and waits for their replies.
     fn transact<'q>(
         &mut self,
         exchange: &mut HostExchange<'q>,
-        telegram: for<'t> fn(&'t mut HostExchange<'q>) -> &'t [u8],
-        expected: Arrival,
+        first: Telegram<'q>,
+        next: Telegram<'q>,
     ) -> io::Result<()> {
-        let telegram = telegram(exchange);
-        if telegram.is_empty() {
-            return Ok(());
+        let mut telegram = first(exchange);
+        while !telegram.is_empty() {
+            self.transport.send(telegram)?;
+            telegram = next(exchange);
         }
-        self.transport.send(telegram)?;
         let wait = if self.silent_cycles < SILENT_CYCLES {
             REPLY_WAIT
         } else {
@@ -274,18 +280,20 @@ impl Worker {
         };
         let until = Instant::now() + wait;
         let mut frame = [0; FRAME_LEN_MAX];
-        loop {
+        while exchange.awaits_replies() {
             let left = until.saturating_duration_since(Instant::now());
             if let Some(length) = self.transport.receive(&mut frame, left)?
-                && exchange.receive(frame.get(..length).unwrap_or(&[])) == expected
+                && matches!(
+                    exchange.receive(frame.get(..length).unwrap_or(&[])),
+                    Arrival::Input | Arrival::Output
+                )
             {
                 self.silent_cycles = 0;
-                return Ok(());
-            }
-            if left.is_zero() {
+            } else if left.is_zero() {
                 self.silent_cycles = self.silent_cycles.saturating_add(1);
-                return Ok(());
+                break;
             }
         }
+        Ok(())
     }
 }

@@ -42,6 +42,8 @@ pub mod event;
 mod exchange_tests;
 pub mod foe;
 pub mod frame_port;
+#[cfg(test)]
+mod further_tests;
 pub mod mailbox;
 pub mod no_drivers;
 mod observation;
