@@ -246,8 +246,16 @@ impl Worker {
 
     /// Exchanges inputs, then outputs, and continues to receive until `until`.
     fn cycle(&mut self, exchange: &mut HostExchange, until: Instant) -> io::Result<()> {
-        self.transact(exchange, HostExchange::input_telegram, HostExchange::next_input_telegram)?;
-        self.transact(exchange, HostExchange::output_telegram, HostExchange::next_output_telegram)?;
+        self.transact(
+            exchange,
+            HostExchange::input_telegram,
+            HostExchange::next_input_telegram,
+        )?;
+        self.transact(
+            exchange,
+            HostExchange::output_telegram,
+            HostExchange::next_output_telegram,
+        )?;
         let mut frame = [0; FRAME_LEN_MAX];
         loop {
             let left = until.saturating_duration_since(Instant::now());

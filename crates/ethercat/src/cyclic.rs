@@ -17,11 +17,11 @@ use super::acyclic::{IN_FLIGHT_MAX, Outcome, Reply, Request, bytes};
 use super::driver::{Role, SlaveFactory};
 use super::encapsulation::{Encapsulation, Opened};
 pub use super::observation::{AlStatus, Arrival, BusCounters, FrameCounters, IGNORED_KINDS, Ignored, Observation};
-use super::plan::{FIRST_FRAME_SLAVES_MAX, STATUS_BYTES, Window};
 pub use super::plan::{
     CyclicPlan, CyclicSlave, ExchangeKind, PROCESS_BYTES_MAX, PlanError, ReferenceClock, SPAN_BYTES_MAX, VALUES_MAX,
     ValueBit,
 };
+use super::plan::{FIRST_FRAME_SLAVES_MAX, STATUS_BYTES, Window};
 use super::queue;
 use super::slave_set::SlaveSet;
 use super::telegram::{Image, SlotState, Telegram};
@@ -94,7 +94,11 @@ impl OutputPlace {
         let (start, length) = (usize::from(self.start), usize::from(self.length));
         match FURTHER {
             0 => (None, start, length),
-            _ => ((start >> START_BITS).checked_sub(1), start & ((1 << START_BITS) - 1), length),
+            _ => (
+                (start >> START_BITS).checked_sub(1),
+                start & ((1 << START_BITS) - 1),
+                length,
+            ),
         }
     }
 }
@@ -256,7 +260,11 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTH
     pub fn image_at(&self, place: InputPlace) -> Option<&[u8; PROCESS_BYTES_MAX]> {
         // The remainder tells the compiler that the place exists.
         let image = self.images.get(usize::from(place.image) % SLAVES)?;
-        let is_further = || place.further.is_some_and(|slave| self.further.input_valid.contains(slave.into()));
+        let is_further = || {
+            place
+                .further
+                .is_some_and(|slave| self.further.input_valid.contains(slave.into()))
+        };
         (self.input_valid & place.bit != 0 || FURTHER > 0 && is_further()).then(|| image.bytes())
     }
 
@@ -478,7 +486,11 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTH
             }
         };
         let Some(data) = data else { return };
-        if let Some(inputs) = self.inputs.get_mut(usize::from(slave)).filter(|_| window.input_length > 0) {
+        if let Some(inputs) = self
+            .inputs
+            .get_mut(usize::from(slave))
+            .filter(|_| window.input_length > 0)
+        {
             let further = (frame > 0).then_some(slave);
             let bit = if frame == 0 { 1 << (slave & 31) } else { 0 };
             *inputs = InputPlace { image, further, bit };
@@ -514,7 +526,11 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTH
 
     /// Notes where a slave's outputs are: the number of the frame, and the place of its data in the frame.
     fn place_outputs(&mut self, slave: u8, window: &Window, (frame, data): (usize, usize)) {
-        if let Some(outputs) = self.outputs.get_mut(usize::from(slave)).filter(|_| window.output_length > 0) {
+        if let Some(outputs) = self
+            .outputs
+            .get_mut(usize::from(slave))
+            .filter(|_| window.output_length > 0)
+        {
             let start = data + usize::from(window.output_offset);
             *outputs = OutputPlace::new(frame, start, window.output_length);
         }

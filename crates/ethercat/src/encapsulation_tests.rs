@@ -261,7 +261,10 @@ fn slaves_with_one_direction_count_once_and_answer_where_their_data_travel() {
         assert!(rig.exchange.input(0).is_some() && rig.exchange.input(1).is_none());
         assert_eq!(rig.exchange.counters().working_counter_errors, 0);
         rig.input();
-        assert_eq!(rig.end.observations.dequeue().map(|seen| seen.answered), Some(SlaveSet::from(0b1111)));
+        assert_eq!(
+            rig.end.observations.dequeue().map(|seen| seen.answered),
+            Some(SlaveSet::from(0b1111))
+        );
     }
 }
 

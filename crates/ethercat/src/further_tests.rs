@@ -231,7 +231,11 @@ impl Bench {
         let telegrams = self.telegrams(direction);
         let mut come: Vec<Option<Passed>> = Vec::new();
         // Late replies of the cycle before come first.
-        let late = if direction == 0 { core::mem::take(&mut self.late) } else { Vec::new() };
+        let late = if direction == 0 {
+            core::mem::take(&mut self.late)
+        } else {
+            Vec::new()
+        };
         for (number, telegram) in telegrams.iter().enumerate() {
             let fate = match random.next() % 100 < faults {
                 false => Fate::Well,
@@ -292,7 +296,9 @@ impl Bench {
         }
         let come = self.pass(random, 0, faults);
         let union = |of: fn(&Passed) -> SlaveSet, come: &[Option<Passed>]| {
-            come.iter().flatten().fold(SlaveSet::NONE, |set, passed| set | of(passed))
+            come.iter()
+                .flatten()
+                .fold(SlaveSet::NONE, |set, passed| set | of(passed))
         };
         let read = union(|passed| passed.read, &come);
         let mut written = union(|passed| passed.written, &come);
@@ -319,7 +325,10 @@ impl Bench {
         for place in places {
             let length = usize::from(self.model.plan.slaves[place].output_length);
             let (now, set) = (&self.model.outputs[place][..length], &set[place][..length]);
-            assert!(now == set || !written.contains(place) && now == &before[place][..length], "slave {place}");
+            assert!(
+                now == set || !written.contains(place) && now == &before[place][..length],
+                "slave {place}"
+            );
         }
         self.check_counters();
     }
@@ -423,7 +432,10 @@ fn lost_and_late_frames_are_counted_for_the_frame_and_a_request_rides_in_the_fir
             bench.cycle(&mut random, 15);
             let registers = core::iter::from_fn(|| bench.end.port.registers.replies.dequeue());
             for reply in registers {
-                assert!(matches!(reply.outcome, Outcome::Processed { working_counter: 1 } | Outcome::Lost));
+                assert!(matches!(
+                    reply.outcome,
+                    Outcome::Processed { working_counter: 1 } | Outcome::Lost
+                ));
             }
             while let Some(reply) = bench.end.port.messages.replies.dequeue() {
                 let outcomes = [Outcome::Processed { working_counter: 1 }, Outcome::Lost];
@@ -436,8 +448,16 @@ fn lost_and_late_frames_are_counted_for_the_frame_and_a_request_rides_in_the_fir
             ExchangeKind::Split => (3, 2),
         };
         for (number, [first, second]) in bench.counted.iter().enumerate() {
-            assert_eq!(first.lost > 0 && first.late > 0, number < firsts, "{kind:?} {number}: {first:?}");
-            assert_eq!(second.lost > 0 && second.late > 0, number < seconds, "{kind:?} {number}: {second:?}");
+            assert_eq!(
+                first.lost > 0 && first.late > 0,
+                number < firsts,
+                "{kind:?} {number}: {first:?}"
+            );
+            assert_eq!(
+                second.lost > 0 && second.late > 0,
+                number < seconds,
+                "{kind:?} {number}: {second:?}"
+            );
         }
     }
 }

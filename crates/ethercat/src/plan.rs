@@ -419,7 +419,11 @@ mod tests {
         assert_eq!(small.check(2), Ok(()));
         assert!((0..64).all(|slave| frames[slave] == slave / 32), "{frames:?}");
         // One frame that is enough is used alone.
-        assert!(dealt(&plan(19, 16, ExchangeKind::Combined, 128), 5).iter().all(|frame| *frame == 0));
+        assert!(
+            dealt(&plan(19, 16, ExchangeKind::Combined, 128), 5)
+                .iter()
+                .all(|frame| *frame == 0)
+        );
     }
 
     #[test]

@@ -96,7 +96,9 @@ impl<const SLAVES: usize, const FURTHER: usize> Further<SLAVES, FURTHER> {
     }
 
     fn telegrams_mut(&mut self) -> impl Iterator<Item = &mut Telegram<SLAVES, SlaveSet>> {
-        self.pairs.iter_mut().flat_map(|pair| [&mut pair.first, &mut pair.second])
+        self.pairs
+            .iter_mut()
+            .flat_map(|pair| [&mut pair.first, &mut pair.second])
     }
 
     /// Removes all datagrams.
@@ -173,7 +175,8 @@ impl<const SLAVES: usize, const FURTHER: usize> Further<SLAVES, FURTHER> {
     #[inline(always)]
     pub(super) fn settle(&mut self) {
         if FURTHER > 0 {
-            self.telegrams_mut().for_each(|telegram| telegram.state = SlotState::Idle);
+            self.telegrams_mut()
+                .for_each(|telegram| telegram.state = SlotState::Idle);
             (self.input_valid, self.output_valid) = (SlaveSet::NONE, SlaveSet::NONE);
             self.sent = [0; 2];
         }
@@ -183,9 +186,8 @@ impl<const SLAVES: usize, const FURTHER: usize> Further<SLAVES, FURTHER> {
     #[inline(always)]
     pub(super) fn awaits(&self, index: u8) -> Option<(usize, Turn)> {
         let numbered = self.pairs.iter().enumerate();
-        let mut frames = numbered.flat_map(|(number, pair)| {
-            [(number, Turn::First, &pair.first), (number, Turn::Second, &pair.second)]
-        });
+        let mut frames = numbered
+            .flat_map(|(number, pair)| [(number, Turn::First, &pair.first), (number, Turn::Second, &pair.second)]);
         frames
             .find(|(.., telegram)| telegram.awaits(index))
             .map(|(number, turn, _)| (number, turn))

@@ -9,7 +9,7 @@
 //!
 //! Invariants: a slave whose file is being transferred in BOOT is left there, whatever is commanded; a slave in use is only repaired on command; a slave is only taken back if it is the product that was
 //! there before; every wait ends; while work on one slave is in progress, a slave that stops answering or leaves OP is
-//! detected within 100 ms. One that leaves OP with its error flag set is detected after that work, if a slave that waits
+//! detected within 100 ms, or 200 ms in a chain of more than 32. One that leaves OP with its error flag set is detected after that work, if a slave that waits
 //! for its own repair shows that flag already: the answers of all slaves come as one sum.
 
 mod bring_up;
@@ -31,6 +31,7 @@ use super::driver::SlaveFactory;
 use super::error::BusError;
 pub use super::event::{BusCommand, BusEvent, BusSetup, Step};
 use super::slave::Condition;
+use super::slave_set::SlaveSet;
 use crate::port_state::PortState;
 pub use bring_up::DISCOVERY_TIMEOUT_MS;
 use bus::Bus;
@@ -62,6 +63,10 @@ const _: () = {
     assert!(
         LOOK_PERIOD_MS as usize * 32_usize.div_ceil(bus::LOOK_MAX) < 100,
         "each slave is looked at within 100 ms"
+    );
+    assert!(
+        LOOK_PERIOD_MS as usize * SlaveSet::PLACES.div_ceil(bus::LOOK_MAX) < 200,
+        "each slave of the longest chain is looked at within 200 ms"
     );
 };
 

@@ -3,8 +3,8 @@
 //! Invariant: a reply is read at the places given by the frame that was sent; no content of the reply influences these.
 
 use super::{
-    Acyclic, Answers, CIRCULATING_BIT, Copying, Image, MORE_BIT, NO_POSITION, NOWHERE, PIECE_LEN, POSITION_HEADER, Share,
-    Taken, Telegram,
+    Acyclic, Answers, CIRCULATING_BIT, Copying, Image, MORE_BIT, NO_POSITION, NOWHERE, PIECE_LEN, POSITION_HEADER,
+    Share, Taken, Telegram,
 };
 use crate::observation::{AlStatus, Ignored};
 use crate::plan::AL_STATUS_LEN;
@@ -22,7 +22,10 @@ impl<const SLAVES: usize, M: Places> Telegram<SLAVES, M> {
     /// Whether a frame of this index, whose reply comes late, was this one: its first datagram differs in the index only.
     #[cold]
     pub(in super::super) fn is_origin(&self, payload: &[u8]) -> bool {
-        let first = self.shares.first().map_or(&self.common.status_header, |share| &share.header);
+        let first = self
+            .shares
+            .first()
+            .map_or(&self.common.status_header, |share| &share.header);
         let Some((low, high)) = payload.first_chunk().map(|header| first.differences(header)) else {
             return false;
         };
