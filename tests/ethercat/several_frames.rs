@@ -35,9 +35,9 @@ impl Case {
     fn new(seed: u64, random: &mut Random) -> Self {
         let cycle_us = [1_000, 250, 10_000][(seed % 3) as usize];
         let mut below = |limit: u64| (random.bits() % limit) as u16;
-        let longest = [32, 32, 8, 2][(seed / 3 % 4) as usize];
+        let longest: u64 = [32, 32, 8, 2][(seed / 3 % 4) as usize];
         // Each acyclic frame of a bring-up takes a cycle.
-        let most = if cycle_us > 1_000 { 24 } else { 64 };
+        let most = if cycle_us > 1_000 { 40 } else { 64 };
         let slaves = if seed.is_multiple_of(4) {
             most as u16
         } else {
@@ -45,13 +45,13 @@ impl Case {
         };
         let lengths = (0..slaves).map(|_| match seed.is_multiple_of(4) {
             true => (32, 32),
-            false => (below(u64::from(longest) + 1), below(u64::from(longest) + 1)),
+            false => (below(longest + 1), below(longest + 1)),
         });
         let lengths = lengths.collect();
         Self {
             cycle_us,
             kind: [ExchangeKind::Split, ExchangeKind::Combined][usize::from(below(2))],
-            clocks: below(2) == 0,
+            clocks: seed / 2 % 2 == 0,
             lengths,
         }
     }
