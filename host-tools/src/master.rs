@@ -38,7 +38,7 @@ const SILENT_CYCLES: u32 = 10;
 const CATCH_UP_MS_MAX: u64 = 100;
 
 /// Most slaves on the bus.
-pub const SLAVES_MAX: usize = 64;
+const SLAVES_MAX: usize = 64;
 /// Frames of a cycle behind the first one: four hold what 64 slaves with the longest process data have besides the first.
 const FURTHER_FRAMES: usize = 4;
 
@@ -303,5 +303,84 @@ impl Worker {
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use etherpen::ethercat::slave_set::SlaveSet;
+    use etherpen_segment::{AlState, Flywheel, Segment, SegmentOptions, SlaveKind};
+    use std::collections::VecDeque;
+
+    /// Time for a bring-up on a busy computer.
+    const PATIENCE: Duration = Duration::from_mins(5);
+
+    /// A virtual segment in this process.
+    struct Wire {
+        segment: Arc<Mutex<Segment<Flywheel>>>,
+        replies: VecDeque<Vec<u8>>,
+        begun: Instant,
+    }
+
+    impl Transport for Wire {
+        fn send(&mut self, frame: &[u8]) -> io::Result<()> {
+            let now_us = u64::try_from(self.begun.elapsed().as_micros()).unwrap_or(u64::MAX);
+            let mut segment = self.segment.lock().expect("the segment");
+            self.replies.extend(segment.frame(now_us, frame));
+            Ok(())
+        }
+
+        fn receive(&mut self, frame: &mut [u8], wait: Duration) -> io::Result<Option<usize>> {
+            let Some(reply) = self.replies.pop_front() else {
+                std::thread::sleep(wait.min(Duration::from_millis(1)));
+                return Ok(None);
+            };
+            frame[..reply.len()].copy_from_slice(&reply);
+            Ok(Some(reply.len()))
+        }
+    }
+
+    /// Starts a master on so many terminals, and what it controls.
+    fn start(slaves: usize) -> (Result<Master, MasterError>, Arc<Mutex<Segment<Flywheel>>>) {
+        let kinds = [SlaveKind::El1008, SlaveKind::El2008];
+        let options = SegmentOptions {
+            slaves: kinds.into_iter().cycle().take(slaves).collect(),
+            ..SegmentOptions::default()
+        };
+        let segment = Arc::new(Mutex::new(Segment::new(&options, Flywheel::default())));
+        let wire = Wire {
+            segment: segment.clone(),
+            replies: VecDeque::new(),
+            begun: Instant::now(),
+        };
+        let setup = RobotBusSetup {
+            terminals: SlaveSet::ALL,
+            // A busy computer must not stop the outputs.
+            watchdog_ms: 5_000,
+            ..RobotBusSetup::default()
+        };
+        (Master::start(Box::new(wire), setup, PATIENCE), segment)
+    }
+
+    #[test]
+    fn a_chain_of_64_slaves_comes_up_in_several_frames_and_one_more_is_refused_with_the_limit() {
+        let (master, segment) = start(SLAVES_MAX);
+        let mut master = master.expect("64 slaves");
+        let states = segment.lock().expect("the segment").slaves();
+        assert_eq!(states.len(), SLAVES_MAX);
+        assert!(
+            states.iter().all(|state| state.al_state == AlState::Operational),
+            "{:#?}",
+            master.events()
+        );
+        let (master, _segment) = start(SLAVES_MAX + 1);
+        match master.map(|_| ()) {
+            Err(MasterError::Refused {
+                error: BusError::TooManySlaves { expected, actual },
+                ..
+            }) => assert_eq!((expected, actual), (64, 65)),
+            other => panic!("{other:?}"),
+        }
     }
 }

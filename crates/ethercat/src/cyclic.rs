@@ -11,22 +11,24 @@
 //! if index, state, command, address and length of every datagram in it equal what was sent; every other frame is
 //! dropped and counted by kind.
 
+mod building;
 mod further;
+mod slow_side;
 
-use super::acyclic::{IN_FLIGHT_MAX, Outcome, Reply, Request, bytes};
+use super::acyclic::{Reply, Request};
 use super::driver::{Role, SlaveFactory};
 use super::encapsulation::{Encapsulation, Opened};
 pub use super::observation::{AlStatus, Arrival, BusCounters, FrameCounters, IGNORED_KINDS, Ignored, Observation};
+use super::plan::FIRST_FRAME_SLAVES_MAX;
 pub use super::plan::{
     CyclicPlan, CyclicSlave, ExchangeKind, PROCESS_BYTES_MAX, PlanError, ReferenceClock, SPAN_BYTES_MAX, VALUES_MAX,
     ValueBit,
 };
-use super::plan::{FIRST_FRAME_SLAVES_MAX, STATUS_BYTES, Window};
 use super::queue;
 use super::slave_set::SlaveSet;
 use super::telegram::{Image, SlotState, Telegram};
 use super::wire::{FRAME_LEN_MAX, MacAddress, read_u8};
-use further::{Further, Turn};
+use further::Further;
 use heapless::spsc::{Consumer, Producer};
 
 /// Consecutive cycles without a reply after which the bus counts as silent.
@@ -260,11 +262,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTH
     pub fn image_at(&self, place: InputPlace) -> Option<&[u8; PROCESS_BYTES_MAX]> {
         // The remainder tells the compiler that the place exists.
         let image = self.images.get(usize::from(place.image) % SLAVES)?;
-        let is_further = || {
-            place
-                .further
-                .is_some_and(|slave| self.further.input_valid.contains(slave.into()))
-        };
+        let is_further = || place.further.is_some_and(|slave| self.further.has_inputs(slave));
         (self.input_valid & place.bit != 0 || FURTHER > 0 && is_further()).then(|| image.bytes())
     }
 
@@ -309,11 +307,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTH
     /// not come, or not with the expected working counter. None when outputs travel with the inputs.
     #[inline]
     pub fn unconfirmed(&self) -> SlaveSet {
-        let first = SlaveSet::from(self.unconfirmed);
-        match FURTHER {
-            0 => first,
-            _ => first | self.further.unconfirmed,
-        }
+        SlaveSet::from(self.unconfirmed) | self.further.unconfirmed()
     }
 
     /// This cycle's AL status of the slaves in use, and the number of all slaves that answered.
@@ -417,198 +411,6 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTH
         }
     }
 
-    #[cold]
-    fn take_plan(&mut self) {
-        if let Some(plan) = queue::take(&mut self.end.plans) {
-            self.adopt(plan);
-        }
-    }
-
-    /// Builds the telegrams of a plan; outputs are kept for slaves whose share and role are unchanged.
-    fn adopt(&mut self, plan: CyclicPlan<F, SLAVES>) {
-        let mut kept = [[0; PROCESS_BYTES_MAX]; SLAVES];
-        for (number, (new, kept)) in plan.slaves.iter().zip(&mut kept).enumerate() {
-            let old = self.plan.slaves.get(number).copied().unwrap_or_default();
-            let same = (old.output_address, old.output_length) == (new.output_address, new.output_length);
-            // Outputs that are no longer written return to zero. Nobody writes those of a terminal that is out of operation,
-            // and it would show them as soon as it is back.
-            let used = (old.role, self.plan.terminals.contains(number) && old.watched);
-            if same && used == (new.role, plan.terminals.contains(number) && new.watched) {
-                super::wire::write_bytes(kept, 0, self.output(number));
-            }
-        }
-        self.first.clear(&self.encapsulation, self.source);
-        self.second.clear(&self.encapsulation, self.source);
-        self.further.clear(&self.encapsulation, self.source);
-        self.outputs = [OutputPlace::default(); SLAVES];
-        self.inputs = [InputPlace::default(); SLAVES];
-        let unconfirmed = self.unconfirmed();
-        (self.second_only, self.output_members) = (0, 0);
-        let (mut firsts, mut seconds) = plan.dealers(1 + FURTHER);
-        let mut image = 0;
-        for (number, slave) in (0..).zip(&plan.slaves) {
-            let (first, second) = (slave.first_window(plan.exchange), slave.second_window(plan.exchange));
-            if let Some(window) = &first {
-                let frame = firsts.frame(number, window);
-                self.push_first(number, slave, window, (frame, image));
-                image += 1;
-            }
-            if let Some(window) = &second {
-                let frame = seconds.frame(number, window);
-                self.push_second(number, slave, window, (frame, first.is_none()));
-            }
-        }
-        self.unconfirmed = unconfirmed.first() & self.output_members;
-        self.further.unconfirmed = unconfirmed.and(self.further.members());
-        self.first.push_common(plan.clock);
-        self.first.finish(&self.encapsulation);
-        self.second.finish(&self.encapsulation);
-        self.further.finish(&self.encapsulation);
-        self.plan = plan;
-        self.plan_number = self.plan_number.wrapping_add(1);
-        for (number, kept) in kept.iter().enumerate() {
-            let output = self.output(number);
-            let length = output.len();
-            super::wire::write_bytes(output, 0, kept.get(..length).unwrap_or(&[]));
-        }
-    }
-
-    /// Adds a slave's datagram to a telegram of the cycle's start: the number of the frame, and of the slave's inputs.
-    fn push_first(&mut self, slave: u8, share: &CyclicSlave<F>, window: &Window, (frame, image): (usize, u8)) {
-        let data = match frame.checked_sub(1) {
-            None => self
-                .first
-                .push_share(slave, share.watched, window, STATUS_BYTES)
-                .map(|(_, data)| data),
-            Some(number) => {
-                let watched = (slave, share.watched, false);
-                self.further.push((number, Turn::First), watched, window, image)
-            }
-        };
-        let Some(data) = data else { return };
-        if let Some(inputs) = self
-            .inputs
-            .get_mut(usize::from(slave))
-            .filter(|_| window.input_length > 0)
-        {
-            let further = (frame > 0).then_some(slave);
-            let bit = if frame == 0 { 1 << (slave & 31) } else { 0 };
-            *inputs = InputPlace { image, further, bit };
-        }
-        self.place_outputs(slave, window, (frame, data));
-    }
-
-    /// Adds a slave's datagram to a telegram after control: the number of the frame, and whether it is the slave's only
-    /// datagram.
-    fn push_second(&mut self, slave: u8, share: &CyclicSlave<F>, window: &Window, (frame, is_only): (usize, bool)) {
-        let is_member = share.watched && share.role.is_some();
-        let bit = |is_set| if is_set { 1 << (slave & 31) } else { 0 };
-        let data = match frame.checked_sub(1) {
-            None => {
-                self.second_only |= bit(is_only);
-                self.output_members |= bit(is_member);
-                self.second
-                    .push_share(slave, share.watched, window, 0)
-                    .map(|(_, data)| data)
-            }
-            Some(number) => {
-                if is_only {
-                    self.further.second_only |= SlaveSet::of(slave.into());
-                }
-                let watched = (slave, share.watched, is_member);
-                self.further.push((number, Turn::Second), watched, window, 0)
-            }
-        };
-        if let Some(data) = data {
-            self.place_outputs(slave, window, (frame, data));
-        }
-    }
-
-    /// Notes where a slave's outputs are: the number of the frame, and the place of its data in the frame.
-    fn place_outputs(&mut self, slave: u8, window: &Window, (frame, data): (usize, usize)) {
-        if let Some(outputs) = self
-            .outputs
-            .get_mut(usize::from(slave))
-            .filter(|_| window.output_length > 0)
-        {
-            let start = data + usize::from(window.output_offset);
-            *outputs = OutputPlace::new(frame, start, window.output_length);
-        }
-    }
-
-    /// Appends the slow side's datagrams behind the cyclic ones: register requests, and one message. In operation the
-    /// two lanes alternate, so that neither waits for more than one datagram of the other.
-    #[cold]
-    fn append_acyclic(&mut self) {
-        let room = self.first.room();
-        let in_operation = self.first.is_watched() || self.further.is_watched();
-        let message_goes_first = in_operation && self.message_is_next && self.append_message(room);
-        let sent = match (message_goes_first, in_operation) {
-            (true, _) => 0,
-            (false, true) => self.append_requests(room, IN_OPERATION_MAX),
-            (false, false) => self.append_requests(room, IN_FLIGHT_MAX),
-        };
-        if !in_operation || (!message_goes_first && sent == 0) {
-            self.append_message(room);
-        }
-        self.message_is_next = sent > 0;
-        self.first.finish_acyclic(&self.encapsulation);
-    }
-
-    /// Appends at most `most` register requests as room permits; returns how many.
-    fn append_requests(&mut self, room: usize, most: usize) -> usize {
-        let mut owed = 0;
-        for _ in 0..most {
-            let Some(request) = queue::front(&self.end.requests) else {
-                break;
-            };
-            // One reply is owed for each request that is taken.
-            if !queue::has_room_for(&self.end.replies, owed + 1) {
-                break;
-            }
-            if request.data.len() > room {
-                if owed > 0 {
-                    // Replies come in order: this reply waits for those of the requests before it.
-                    break;
-                }
-                // There is room; it was checked above.
-                let no_room = Outcome::NoRoom { room: room as u16 };
-                let _ = queue::put(&mut self.end.replies, Reply::without_data(no_room));
-            } else if self
-                .first
-                .push_acyclic(request.command, request.address, &request.data, false)
-            {
-                owed += 1;
-            } else {
-                break;
-            }
-            let _ = queue::take(&mut self.end.requests);
-        }
-        owed
-    }
-
-    /// Appends the waiting message, if there is one and it fits.
-    fn append_message(&mut self, room: usize) -> bool {
-        let Some(message) = queue::front(&self.end.messages) else {
-            return false;
-        };
-        if !queue::has_room_for(&self.end.message_replies, 1) {
-            return false;
-        }
-        let fits_never = message.data.len() > room;
-        let taken = if fits_never {
-            let no_room = Outcome::NoRoom { room: room as u16 };
-            queue::put(&mut self.end.message_replies, Reply::without_data(no_room)).is_ok()
-        } else {
-            self.first
-                .push_acyclic(message.command, message.address, &message.data, true)
-        };
-        if taken {
-            let _ = queue::take(&mut self.end.messages);
-        }
-        taken && !fits_never
-    }
-
     #[inline]
     fn accept(&mut self, frame: &[u8]) -> Result<Arrival, Ignored> {
         let opened = self.encapsulation.open(frame, &self.source)?;
@@ -699,48 +501,6 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTH
         if errors != 0 {
             let counted = &mut self.counters.working_counter_errors;
             *counted = counted.saturating_add(errors);
-        }
-    }
-
-    /// Replies to every acyclic request of the input telegram.
-    #[cold]
-    fn answer_acyclic(&mut self, payload: &[u8]) {
-        let (replies, message_replies) = (&mut self.end.replies, &mut self.end.message_replies);
-        self.first.each_acyclic(payload, |place, data, working_counter| {
-            let outcome = Outcome::Processed { working_counter };
-            // Room was reserved when the request was taken.
-            if place.is_message {
-                let _ = queue::put(
-                    message_replies,
-                    Reply {
-                        data: bytes(data),
-                        outcome,
-                    },
-                );
-            } else {
-                let _ = queue::put(
-                    replies,
-                    Reply {
-                        data: bytes(data),
-                        outcome,
-                    },
-                );
-            }
-        });
-    }
-
-    /// Reports the acyclic requests of the input telegram to the slow side as lost. A separate function because of its
-    /// stack.
-    #[cold]
-    #[inline(never)]
-    fn answer_lost(&mut self) {
-        for place in &self.first.acyclic {
-            // Room was reserved when the request was taken.
-            if place.is_message {
-                let _ = queue::put(&mut self.end.message_replies, Reply::without_data(Outcome::Lost));
-            } else {
-                let _ = queue::put(&mut self.end.replies, Reply::without_data(Outcome::Lost));
-            }
         }
     }
 }

@@ -224,14 +224,18 @@ mod tests {
             is_there: false,
             ..Slave::ring(8, 5)
         };
-        assert_eq!(without.codes(), []);
+        assert_eq!(without.codes(), Vec::<u32>::new());
         for (room, newest) in [(0, 6), (8, 5), (8, 14), (8, 255), (255, 5), (8, 0)] {
             let damaged = Slave {
                 room,
                 newest,
                 ..Slave::ring(8, 5)
             };
-            assert_eq!(damaged.codes(), [], "newest message {newest}, {room} places");
+            assert_eq!(
+                damaged.codes(),
+                Vec::<u32>::new(),
+                "newest message {newest}, {room} places"
+            );
         }
         // The room promises more than the slave keeps: the places behind the last one are empty.
         let promised = Slave {

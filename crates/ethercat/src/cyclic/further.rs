@@ -23,22 +23,20 @@ struct Pair<const SLAVES: usize> {
     image: u8,
     /// Watched members whose outputs the second frame carries.
     members: SlaveSet,
+    /// Slaves that answer nothing but the second frame.
+    second_only: SlaveSet,
+    /// Slaves whose inputs have come in this cycle.
+    input_valid: SlaveSet,
+    /// Slaves that have answered the second frame in this cycle.
+    output_valid: SlaveSet,
+    /// Members that have not confirmed the last outputs.
+    unconfirmed: SlaveSet,
 }
 
-/// The further frames, and what their slaves have answered in this cycle.
+/// The further frames, and what their slaves have answered in this cycle: without any, nothing at all.
 #[derive(Debug)]
 pub(super) struct Further<const SLAVES: usize, const FURTHER: usize> {
     pairs: [Pair<SLAVES>; FURTHER],
-    /// Slaves whose inputs have come.
-    pub(super) input_valid: SlaveSet,
-    /// Slaves that have confirmed their outputs in a frame of their own.
-    output_valid: SlaveSet,
-    /// Slaves that answer nothing but such a frame.
-    pub(super) second_only: SlaveSet,
-    /// Watched members that have not confirmed the last outputs.
-    pub(super) unconfirmed: SlaveSet,
-    /// Frames of this cycle that were sent in each direction.
-    sent: [u8; 2],
 }
 
 /// Which of two frames of a pair.
@@ -82,13 +80,19 @@ impl<const SLAVES: usize, const FURTHER: usize> Further<SLAVES, FURTHER> {
                 second: Telegram::new(),
                 image: 0,
                 members: SlaveSet::NONE,
+                second_only: SlaveSet::NONE,
+                input_valid: SlaveSet::NONE,
+                output_valid: SlaveSet::NONE,
+                unconfirmed: SlaveSet::NONE,
             }),
-            input_valid: SlaveSet::NONE,
-            output_valid: SlaveSet::NONE,
-            second_only: SlaveSet::NONE,
-            unconfirmed: SlaveSet::NONE,
-            sent: [0; 2],
         }
+    }
+
+    /// The slaves that belong to a set of any pair.
+    #[inline(always)]
+    fn union(&self, set: impl Fn(&Pair<SLAVES>) -> SlaveSet) -> SlaveSet {
+        let pairs = self.pairs.iter();
+        pairs.fold(SlaveSet::NONE, |all, pair| all | set(pair))
     }
 
     fn telegrams(&self) -> impl Iterator<Item = &Telegram<SLAVES, SlaveSet>> {
@@ -104,9 +108,8 @@ impl<const SLAVES: usize, const FURTHER: usize> Further<SLAVES, FURTHER> {
     /// Removes all datagrams.
     pub(super) fn clear(&mut self, encapsulation: &Encapsulation, source: MacAddress) {
         for pair in &mut self.pairs {
-            pair.members = SlaveSet::NONE;
+            (pair.members, pair.second_only) = (SlaveSet::NONE, SlaveSet::NONE);
         }
-        self.second_only = SlaveSet::NONE;
         self.telegrams_mut()
             .for_each(|telegram| telegram.clear(encapsulation, source));
     }
@@ -116,7 +119,7 @@ impl<const SLAVES: usize, const FURTHER: usize> Further<SLAVES, FURTHER> {
     pub(super) fn push(
         &mut self,
         (number, turn): (usize, Turn),
-        (slave, watched, is_member): (u8, bool, bool),
+        (slave, watched): (u8, bool),
         window: &Window,
         image: u8,
     ) -> Option<usize> {
@@ -125,10 +128,24 @@ impl<const SLAVES: usize, const FURTHER: usize> Further<SLAVES, FURTHER> {
         if turn == Turn::First && share == 0 {
             pair.image = image;
         }
-        if turn == Turn::Second && is_member {
-            pair.members |= SlaveSet::of(slave.into());
-        }
         Some(data)
+    }
+
+    /// Notes of a slave in a second frame, counted from 0, whether it is a watched member, and whether this is its only
+    /// datagram.
+    pub(super) fn note(&mut self, number: usize, slave: u8, (is_member, is_only): (bool, bool)) {
+        let Some(pair) = self.pairs.get_mut(number) else {
+            return;
+        };
+        let set = |is_in: bool| {
+            if is_in {
+                SlaveSet::of(slave.into())
+            } else {
+                SlaveSet::NONE
+            }
+        };
+        pair.members |= set(is_member);
+        pair.second_only |= set(is_only);
     }
 
     /// Ends building.
@@ -136,11 +153,23 @@ impl<const SLAVES: usize, const FURTHER: usize> Further<SLAVES, FURTHER> {
         self.telegrams_mut().for_each(|telegram| telegram.finish(encapsulation));
     }
 
-    /// Watched members whose outputs the second frames carry.
-    pub(super) fn members(&self) -> SlaveSet {
-        self.pairs
-            .iter()
-            .fold(SlaveSet::NONE, |members, pair| members | pair.members)
+    /// Takes over which members have not confirmed their outputs.
+    pub(super) fn set_unconfirmed(&mut self, unconfirmed: SlaveSet) {
+        for pair in &mut self.pairs {
+            pair.unconfirmed = unconfirmed.and(pair.members);
+        }
+    }
+
+    /// Watched members that have not confirmed the last outputs.
+    #[inline(always)]
+    pub(super) fn unconfirmed(&self) -> SlaveSet {
+        self.union(|pair| pair.unconfirmed)
+    }
+
+    /// Whether a slave's inputs have come in this cycle.
+    #[inline(always)]
+    pub(super) fn has_inputs(&self, slave: u8) -> bool {
+        self.pairs.iter().any(|pair| pair.input_valid.contains(slave.into()))
     }
 
     /// Whether a frame serves a slave that is in operation.
@@ -157,10 +186,7 @@ impl<const SLAVES: usize, const FURTHER: usize> Further<SLAVES, FURTHER> {
     /// The slaves that have answered in this cycle.
     #[inline(always)]
     pub(super) fn answered(&self) -> SlaveSet {
-        match FURTHER {
-            0 => SlaveSet::NONE,
-            _ => self.input_valid | self.output_valid.and(self.second_only),
-        }
+        self.union(|pair| pair.input_valid | pair.output_valid.and(pair.second_only))
     }
 
     /// Counts the frames that have not come back; returns their number.
@@ -174,11 +200,9 @@ impl<const SLAVES: usize, const FURTHER: usize> Further<SLAVES, FURTHER> {
     /// Ends a cycle.
     #[inline(always)]
     pub(super) fn settle(&mut self) {
-        if FURTHER > 0 {
-            self.telegrams_mut()
-                .for_each(|telegram| telegram.state = SlotState::Idle);
-            (self.input_valid, self.output_valid) = (SlaveSet::NONE, SlaveSet::NONE);
-            self.sent = [0; 2];
+        for pair in &mut self.pairs {
+            (pair.first.state, pair.second.state) = (SlotState::Idle, SlotState::Idle);
+            (pair.input_valid, pair.output_valid) = (SlaveSet::NONE, SlaveSet::NONE);
         }
     }
 
@@ -260,17 +284,14 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTHER: 
 
     #[inline(always)]
     fn next_telegram(&mut self, turn: Turn) -> &[u8] {
-        let sent = &mut self.further.sent[turn as usize];
-        let Some(pair) = self.further.pairs.get_mut(usize::from(*sent)) else {
+        let mut pairs = self.further.pairs.iter_mut();
+        let is_next = |pair: &&mut Pair<SLAVES>| pair.of(turn).state == SlotState::Idle;
+        let Some(pair) = pairs.find(is_next).filter(|pair| !pair.of(turn).is_empty()) else {
             return &[];
         };
-        if pair.of(turn).is_empty() {
-            return &[];
-        }
-        *sent += 1;
         self.counters.frames_sent = self.counters.frames_sent.saturating_add(1);
         if turn == Turn::Second {
-            self.further.unconfirmed |= pair.members;
+            pair.unconfirmed = pair.members;
         }
         let index = self.next_index;
         self.next_index = index.wrapping_add(1);
@@ -297,17 +318,17 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTHER: 
             return Err(Ignored::Reflection);
         }
         pair.of_mut(turn).state = SlotState::Received;
+        match turn {
+            Turn::First => pair.input_valid = answers.answered,
+            Turn::Second => {
+                pair.output_valid = answers.answered;
+                pair.unconfirmed = pair.unconfirmed.without(answers.answered);
+            }
+        }
         self.count(answers.errors, opened.mark);
         Ok(match turn {
-            Turn::First => {
-                self.further.input_valid |= answers.answered;
-                Arrival::Input
-            }
-            Turn::Second => {
-                self.further.output_valid |= answers.answered;
-                self.further.unconfirmed = self.further.unconfirmed.without(answers.answered);
-                Arrival::Output
-            }
+            Turn::First => Arrival::Input,
+            Turn::Second => Arrival::Output,
         })
     }
 }
