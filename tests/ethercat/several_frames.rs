@@ -51,7 +51,7 @@ impl Case {
         Self {
             cycle_us,
             kind: [ExchangeKind::Split, ExchangeKind::Combined][usize::from(below(2))],
-            clocks: seed / 2 % 2 == 0,
+            clocks: (seed / 2).is_multiple_of(2),
             lengths,
         }
     }
