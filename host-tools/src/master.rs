@@ -37,10 +37,16 @@ const SILENT_CYCLES: u32 = 10;
 /// Most milliseconds that the supervisor catches up at once.
 const CATCH_UP_MS_MAX: u64 = 100;
 
-/// Most slaves on the bus: the exchange reports 32 at most.
-const SLAVES_MAX: usize = 32;
+/// Most slaves on the bus.
+const SLAVES_MAX: usize = 64;
+/// Frames of a cycle behind the first one: four hold what 64 slaves with the longest process data have besides the first.
+const FURTHER_FRAMES: usize = 4;
 
-type HostExchange<'a> = Exchange<'a, RobotDrives, SLAVES_MAX, BUS_MESSAGE_BYTES>;
+type HostExchange<'a> = Exchange<'a, RobotDrives, SLAVES_MAX, BUS_MESSAGE_BYTES, FURTHER_FRAMES>;
+type HostQueues = BusQueues<RobotDrives, SLAVES_MAX, BUS_MESSAGE_BYTES, FURTHER_FRAMES>;
+
+/// A function of the exchange that gives a telegram, empty when there is none.
+type Telegram<'q> = for<'t> fn(&'t mut HostExchange<'q>) -> &'t [u8];
 
 /// Why the master cannot run.
 #[derive(Debug)]
@@ -199,7 +205,7 @@ struct Worker {
 
 impl Worker {
     fn run(mut self, setup: Option<RobotBusSetup>) {
-        let mut queues = Box::new(BusQueues::<RobotDrives, SLAVES_MAX, BUS_MESSAGE_BYTES>::new());
+        let mut queues = Box::new(HostQueues::new());
         let (exchange_end, supervisor_end, mut application) = queues.split();
         let mut exchange = Exchange::new(exchange_end, MASTER_ADDRESS);
         let mut supervisor = Supervisor::new(supervisor_end);
@@ -240,8 +246,16 @@ impl Worker {
 
     /// Exchanges inputs, then outputs, and continues to receive until `until`.
     fn cycle(&mut self, exchange: &mut HostExchange, until: Instant) -> io::Result<()> {
-        self.transact(exchange, HostExchange::input_telegram, Arrival::Input)?;
-        self.transact(exchange, HostExchange::output_telegram, Arrival::Output)?;
+        self.transact(
+            exchange,
+            HostExchange::input_telegram,
+            HostExchange::next_input_telegram,
+        )?;
+        self.transact(
+            exchange,
+            HostExchange::output_telegram,
+            HostExchange::next_output_telegram,
+        )?;
         let mut frame = [0; FRAME_LEN_MAX];
         loop {
             let left = until.saturating_duration_since(Instant::now());
@@ -255,18 +269,18 @@ impl Worker {
         }
     }
 
-    /// Sends a telegram and waits for its reply.
+    /// Sends the telegrams of one direction and waits for their replies.
     fn transact<'q>(
         &mut self,
         exchange: &mut HostExchange<'q>,
-        telegram: for<'t> fn(&'t mut HostExchange<'q>) -> &'t [u8],
-        expected: Arrival,
+        first: Telegram<'q>,
+        next: Telegram<'q>,
     ) -> io::Result<()> {
-        let telegram = telegram(exchange);
-        if telegram.is_empty() {
-            return Ok(());
+        let mut telegram = first(exchange);
+        while !telegram.is_empty() {
+            self.transport.send(telegram)?;
+            telegram = next(exchange);
         }
-        self.transport.send(telegram)?;
         let wait = if self.silent_cycles < SILENT_CYCLES {
             REPLY_WAIT
         } else {
@@ -274,18 +288,99 @@ impl Worker {
         };
         let until = Instant::now() + wait;
         let mut frame = [0; FRAME_LEN_MAX];
-        loop {
+        while exchange.awaits_replies() {
             let left = until.saturating_duration_since(Instant::now());
             if let Some(length) = self.transport.receive(&mut frame, left)?
-                && exchange.receive(frame.get(..length).unwrap_or(&[])) == expected
+                && matches!(
+                    exchange.receive(frame.get(..length).unwrap_or(&[])),
+                    Arrival::Input | Arrival::Output
+                )
             {
                 self.silent_cycles = 0;
-                return Ok(());
-            }
-            if left.is_zero() {
+            } else if left.is_zero() {
                 self.silent_cycles = self.silent_cycles.saturating_add(1);
-                return Ok(());
+                break;
             }
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use etherpen::ethercat::slave_set::SlaveSet;
+    use etherpen_segment::{AlState, Flywheel, Segment, SegmentOptions, SlaveKind};
+    use std::collections::VecDeque;
+
+    /// Time for a bring-up on a busy computer.
+    const PATIENCE: Duration = Duration::from_mins(5);
+
+    /// A virtual segment in this process.
+    struct Wire {
+        segment: Arc<Mutex<Segment<Flywheel>>>,
+        replies: VecDeque<Vec<u8>>,
+        begun: Instant,
+    }
+
+    impl Transport for Wire {
+        fn send(&mut self, frame: &[u8]) -> io::Result<()> {
+            let now_us = u64::try_from(self.begun.elapsed().as_micros()).unwrap_or(u64::MAX);
+            let mut segment = self.segment.lock().expect("the segment");
+            self.replies.extend(segment.frame(now_us, frame));
+            Ok(())
+        }
+
+        fn receive(&mut self, frame: &mut [u8], wait: Duration) -> io::Result<Option<usize>> {
+            let Some(reply) = self.replies.pop_front() else {
+                std::thread::sleep(wait.min(Duration::from_millis(1)));
+                return Ok(None);
+            };
+            frame[..reply.len()].copy_from_slice(&reply);
+            Ok(Some(reply.len()))
+        }
+    }
+
+    /// Starts a master on so many terminals, and what it controls.
+    fn start(slaves: usize) -> (Result<Master, MasterError>, Arc<Mutex<Segment<Flywheel>>>) {
+        let kinds = [SlaveKind::El1008, SlaveKind::El2008];
+        let options = SegmentOptions {
+            slaves: kinds.into_iter().cycle().take(slaves).collect(),
+            ..SegmentOptions::default()
+        };
+        let segment = Arc::new(Mutex::new(Segment::new(&options, Flywheel::default())));
+        let wire = Wire {
+            segment: segment.clone(),
+            replies: VecDeque::new(),
+            begun: Instant::now(),
+        };
+        let setup = RobotBusSetup {
+            terminals: SlaveSet::ALL,
+            // A busy computer must not stop the outputs.
+            watchdog_ms: 5_000,
+            ..RobotBusSetup::default()
+        };
+        (Master::start(Box::new(wire), setup, PATIENCE), segment)
+    }
+
+    #[test]
+    fn a_chain_of_64_slaves_comes_up_in_several_frames_and_one_more_is_refused_with_the_limit() {
+        let (master, segment) = start(SLAVES_MAX);
+        let mut master = master.expect("64 slaves");
+        let states = segment.lock().expect("the segment").slaves();
+        assert_eq!(states.len(), SLAVES_MAX);
+        assert!(
+            states.iter().all(|state| state.al_state == AlState::Operational),
+            "{:#?}",
+            master.events()
+        );
+        let (master, _segment) = start(SLAVES_MAX + 1);
+        match master.map(|_| ()) {
+            Err(MasterError::Refused {
+                error: BusError::TooManySlaves { expected, actual },
+                ..
+            }) => assert_eq!((expected, actual), (64, 65)),
+            other => panic!("{other:?}"),
         }
     }
 }

@@ -142,6 +142,26 @@ fn beckhoff(file: &'static str, configuration: [u16; 4], product: u32, revision:
     }
 }
 
+/// A terminal with so many bytes of outputs and inputs, each in a sync manager of its own; with distributed clocks or
+/// without.
+pub(crate) fn terminal_of_bytes(outputs: u16, inputs: u16, clock: bool) -> Vec<u8> {
+    let all = [(0x1000, outputs, 0x64, 0x09, 3), (0x1200, inputs, 0x20, 0x09, 4)];
+    let used: Vec<_> = all.into_iter().filter(|(_, bytes, ..)| *bytes > 0).collect();
+    let mut units: Vec<u8> = used.iter().map(|(.., usage)| usage - 2).collect();
+    units.resize(units.len().next_multiple_of(2), 0xFF);
+    let configuration = if clock { 0x0D04 } else { 0x0104 };
+    let description = Description {
+        categories: vec![
+            strings(&["BYTES", "", "", "terminal of bytes"]),
+            general([2, 0, 1, 4], [0; 3], 0, 10, 0x0033),
+            (FMMUS, units),
+            managers(&used),
+        ],
+        ..beckhoff("", [configuration, 0, 0, 0], 0x0B17_E500, 1)
+    };
+    description.image()
+}
+
 /// A coupler: no FMMU, no sync manager; it supplies the E-bus.
 fn ek1100() -> Description {
     Description {

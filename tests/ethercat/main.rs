@@ -3,6 +3,7 @@
 #[macro_use]
 #[path = "../again/mod.rs"]
 mod again;
+mod bench;
 mod bring_up;
 mod clocks;
 mod device_images;
@@ -13,6 +14,7 @@ mod homing;
 mod real_chain;
 mod rig;
 mod services;
+mod several_frames;
 mod slave_faults;
 mod terminals;
 mod without_drivers;

@@ -1,41 +1,21 @@
 //! The master alone: slaves of any kind by their own process data, at cycle times from 0.25 to 10 ms.
 
-use core::future::Future;
-use core::pin::Pin;
-use core::task::{Context, Waker};
-use etherpen::ethercat::BusQueues;
+use crate::bench;
 use etherpen::ethercat::configure::{Direction, Entry};
-use etherpen::ethercat::cyclic::{Exchange, ExchangeKind};
+use etherpen::ethercat::cyclic::ExchangeKind;
 use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::event::{BusCommand, BusSetup, ChosenEntry, WantedValue};
-use etherpen::ethercat::no_drivers::NoDrivers;
 use etherpen::ethercat::slave_set::SlaveSet;
-use etherpen::ethercat::supervisor::{BusEvent, Supervisor};
+use etherpen::ethercat::supervisor::BusEvent;
 use etherpen::ethercat::wire::coe::Object;
 use etherpen_segment::random::Random;
-use etherpen_segment::{AlState, Fault, Flywheel, Segment, SegmentOptions, SlaveKind};
-use heapless::spsc::{Consumer, Producer};
+use etherpen_segment::{AlState, Fault, SegmentOptions, SlaveKind};
 
-const MAC: [u8; 6] = [0x10, 0, 0, 0, 0, 1];
-/// Longest bring-up, ms: waits of the master take cycles.
-const BRING_UP_MS_MAX: u64 = 20_000;
 /// Cycles until a value has gone through the exchange in either direction.
 const THROUGH: u32 = 3;
 
-type Queues = BusQueues<NoDrivers, 16, 1024>;
-
-/// A master without drivers, a chain and a clock.
-struct Bench {
-    segment: Segment<Flywheel>,
-    exchange: Exchange<'static, NoDrivers, 16, 1024>,
-    supervisor: Pin<Box<dyn Future<Output = ()>>>,
-    commands: Producer<'static, BusCommand<NoDrivers>>,
-    events: Consumer<'static, BusEvent>,
-    log: Vec<BusEvent>,
-    cycle_us: u64,
-    now_us: u64,
-    polled_ms: u64,
-}
+/// A chain that one frame a cycle serves.
+type Bench = bench::Bench<16, 0>;
 
 impl Bench {
     fn new(slaves: &[SlaveKind], cycle_us: u64, exchange: ExchangeKind, values: &[WantedValue]) -> Self {
@@ -49,9 +29,7 @@ impl Bench {
         values: &[WantedValue],
         chosen: &'static [ChosenEntry],
     ) -> Self {
-        let queues = Box::leak(Box::new(Queues::new()));
-        let (exchange_end, supervisor_end, mut application) = queues.split();
-        let mut setup: BusSetup<NoDrivers> = BusSetup {
+        let mut setup = BusSetup {
             terminals: SlaveSet::ALL,
             exchange,
             cycle_ns: cycle_us as u32 * 1_000,
@@ -60,82 +38,11 @@ impl Bench {
         };
         setup.values.extend(values.iter().copied());
         setup.chosen = chosen;
-        assert!(application.commands.enqueue(BusCommand::Start(setup)).is_ok());
         let options = SegmentOptions {
             slaves: slaves.to_vec(),
             ..SegmentOptions::default()
         };
-        Self {
-            segment: Segment::new(&options, Flywheel::default()),
-            exchange: Exchange::new(exchange_end, MAC),
-            supervisor: Box::pin(async move {
-                let mut supervisor = Supervisor::new(supervisor_end);
-                supervisor.run().await
-            }),
-            commands: application.commands,
-            events: application.events,
-            log: Vec::new(),
-            cycle_us,
-            now_us: 0,
-            polled_ms: 0,
-        }
-    }
-
-    fn cycle(&mut self) {
-        let frame = self.exchange.input_telegram().to_vec();
-        for reply in self.segment.frame(self.now_us, &frame) {
-            self.exchange.receive(&reply);
-        }
-        let frame = self.exchange.output_telegram().to_vec();
-        if !frame.is_empty() {
-            for reply in self.segment.frame(self.now_us + self.cycle_us / 4, &frame) {
-                self.exchange.receive(&reply);
-            }
-        }
-        self.now_us += self.cycle_us;
-        // The supervisor counts its polls as milliseconds.
-        while self.polled_ms * 1_000 < self.now_us {
-            self.polled_ms += 1;
-            let poll = self.supervisor.as_mut().poll(&mut Context::from_waker(Waker::noop()));
-            assert!(poll.is_pending());
-            while let Some(event) = self.events.dequeue() {
-                self.log.push(event);
-            }
-        }
-    }
-
-    fn run(&mut self, cycles: u32) {
-        for _ in 0..cycles {
-            self.cycle();
-        }
-    }
-
-    fn run_ms(&mut self, ms: u64) {
-        let end_us = self.now_us + ms * 1_000;
-        while self.now_us < end_us {
-            self.cycle();
-        }
-    }
-
-    fn operational(&mut self) -> u64 {
-        let (from, began_us) = (self.log.len(), self.now_us);
-        while !self.log[from..].contains(&BusEvent::Operational) {
-            assert!(self.now_us - began_us < BRING_UP_MS_MAX * 1_000, "{:#?}", self.log);
-            self.cycle();
-        }
-        let took_ms = (self.now_us - began_us) / 1_000;
-        self.run_ms(20);
-        took_ms
-    }
-
-    fn bits(&self, slave: usize, direction: Direction, bits: u8) -> Option<u64> {
-        self.exchange
-            .get(&self.exchange.bits::<u64>(slave, direction, 0, bits)?)
-    }
-
-    fn set_bits(&mut self, slave: usize, bits: u8, value: u64) -> bool {
-        let place = self.exchange.bits::<u64>(slave, Direction::Outputs, 0, bits);
-        place.is_some_and(|place| self.exchange.set(&place, value))
+        Self::start(&options, setup)
     }
 }
 

@@ -10,6 +10,7 @@ use etherpen_ethercat::configure::Direction;
 use etherpen_ethercat::cyclic::{Arrival, BusCounters, Exchange, ExchangeKind, InputPlace, OutputPlace};
 use etherpen_ethercat::encapsulation::Encapsulation;
 use etherpen_ethercat::place::Place as ValuePlace;
+use etherpen_ethercat::slave_set::SlaveSet;
 
 /// Where a member's values are.
 #[derive(Clone, Copy, Debug)]
@@ -57,10 +58,10 @@ where
 
     /// The members at some places of the chain, one bit each.
     #[cold]
-    fn members_at(&self, slaves: u32) -> u32 {
+    fn members_at(&self, slaves: SlaveSet) -> u32 {
         let places = self.places.iter().enumerate();
         places.fold(0, |members, (number, place)| {
-            let is_there = place.is_some_and(|place| slaves >> (place.slave & 31) & 1 != 0);
+            let is_there = place.is_some_and(|place| slaves.contains(place.slave.into()));
             members | u32::from(is_there) << (number & 31)
         })
     }
@@ -119,9 +120,10 @@ where
 
     #[inline]
     fn unconfirmed(&self) -> u32 {
-        match self.exchange.unconfirmed() {
-            0 => 0,
-            slaves => self.members_at(slaves),
+        let slaves = self.exchange.unconfirmed();
+        match slaves.is_empty() {
+            true => 0,
+            false => self.members_at(slaves),
         }
     }
 

@@ -1,26 +1,34 @@
-//! The exchange of the critical task: process data in both directions, once a millisecond.
+//! The exchange of the critical task: process data in both directions, once a cycle.
 //!
 //! Each cycle starts with the input telegram: a datagram for each slave (LRD; LRW when inputs and outputs are exchanged
 //! together), the AL status of all slaves, the reference clock's time, and requests of the slow side in the free space.
 //! When inputs and outputs are exchanged apart, the cycle ends with the output telegram: one LWR for each slave. Each
 //! slave's data travel in separate datagrams, so a failed slave does not affect the data of the others. Frames are
-//! built once for a plan; each cycle stamps an index, and outputs are written directly into the frame.
+//! built once for a plan; each cycle stamps an index, and outputs are written directly into the frame. Process data that
+//! one frame does not hold take further ones, see [`Exchange::next_input_telegram`].
 //!
 //! Invariants: bounded time, no allocation, no waiting. A reply is used at most once, only in its own cycle, and only
 //! if index, state, command, address and length of every datagram in it equal what was sent; every other frame is
 //! dropped and counted by kind.
 
-use super::acyclic::{IN_FLIGHT_MAX, Outcome, Reply, Request, bytes};
+mod building;
+mod further;
+mod slow_side;
+
+use super::acyclic::{Reply, Request};
 use super::driver::{Role, SlaveFactory};
 use super::encapsulation::{Encapsulation, Opened};
-pub use super::observation::{AlStatus, Arrival, BusCounters, IGNORED_KINDS, Ignored, Observation};
+pub use super::observation::{AlStatus, Arrival, BusCounters, FrameCounters, IGNORED_KINDS, Ignored, Observation};
+use super::plan::FIRST_FRAME_SLAVES_MAX;
 pub use super::plan::{
     CyclicPlan, CyclicSlave, ExchangeKind, PROCESS_BYTES_MAX, PlanError, ReferenceClock, SPAN_BYTES_MAX, VALUES_MAX,
     ValueBit,
 };
 use super::queue;
-use super::telegram::{Answers, Image, SlotState, Telegram};
-use super::wire::{MacAddress, read_u8};
+use super::slave_set::SlaveSet;
+use super::telegram::{Image, SlotState, Telegram};
+use super::wire::{FRAME_LEN_MAX, MacAddress, read_u8};
+use further::Further;
 use heapless::spsc::{Consumer, Producer};
 
 /// Consecutive cycles without a reply after which the bus counts as silent.
@@ -29,11 +37,19 @@ pub const SILENT_CYCLES: u8 = 10;
 /// Most acyclic datagrams in a frame while drives are in operation, which keeps the cycle as short as possible.
 const IN_OPERATION_MAX: usize = 1;
 
+/// Most frames behind the first one in each direction.
+pub const FURTHER_MAX: usize = 15;
+
 /// Largest age of an index that counts as late, frames; an older index counts as foreign.
 const LATE_FRAMES: u8 = 64;
 
-/// The critical side's ends of the queues to the supervisor.
-pub struct ExchangeEnd<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> {
+/// Bits of [`OutputPlace::start`] that hold the place in the frame; those above hold the number of the frame.
+const START_BITS: u32 = 11;
+const _: () = assert!(FRAME_LEN_MAX < 1 << START_BITS, "a place in a frame fits its bits");
+
+/// The critical side's ends of the queues to the supervisor. `FURTHER` is the number of frames behind the first one in
+/// each direction.
+pub struct ExchangeEnd<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTHER: usize = 0> {
     /// Plans, each used from the next cycle on.
     pub plans: Consumer<'a, CyclicPlan<F, SLAVES>>,
     /// Requests for registers.
@@ -51,6 +67,7 @@ pub struct ExchangeEnd<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: 
 /// Place of a slave's outputs in the frame that carries them, valid for the present plan.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct OutputPlace {
+    /// Its first byte, and from bit [`START_BITS`] on the number of the frame, which is 0 unless there are several.
     start: u16,
     length: u16,
 }
@@ -59,23 +76,50 @@ pub struct OutputPlace {
 #[derive(Clone, Copy, Debug, Default)]
 pub struct InputPlace {
     image: u8,
-    /// The slave's bit; 0 if it has no inputs.
+    /// Place of the slave if its inputs come in a further frame.
+    further: Option<u8>,
+    /// The slave's bit if they come in the first frame; else 0.
     bit: u32,
 }
 
-/// The cyclic exchange; it lives in the critical task.
-pub struct Exchange<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> {
-    end: ExchangeEnd<'a, F, SLAVES, MESSAGE>,
+impl OutputPlace {
+    fn new(frame: usize, start: usize, length: u16) -> Self {
+        Self {
+            start: (frame << START_BITS | start) as u16,
+            length,
+        }
+    }
+
+    /// Number of the frame among the further ones, from 0; `None` in the first. Place in the frame; length.
+    #[inline(always)]
+    fn parts<const FURTHER: usize>(self) -> (Option<usize>, usize, usize) {
+        let (start, length) = (usize::from(self.start), usize::from(self.length));
+        match FURTHER {
+            0 => (None, start, length),
+            _ => (
+                (start >> START_BITS).checked_sub(1),
+                start & ((1 << START_BITS) - 1),
+                length,
+            ),
+        }
+    }
+}
+
+/// The cyclic exchange; it lives in the critical task. `FURTHER` is the number of frames behind the first one that a cycle
+/// may take in each direction, see [`Self::next_input_telegram`].
+pub struct Exchange<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTHER: usize = 0> {
+    end: ExchangeEnd<'a, F, SLAVES, MESSAGE, FURTHER>,
     source: MacAddress,
     encapsulation: Encapsulation,
     plan: CyclicPlan<F, SLAVES>,
     plan_number: u32,
     first: Telegram<SLAVES>,
     second: Telegram<SLAVES>,
+    further: Further<SLAVES, FURTHER>,
     outputs: [OutputPlace; SLAVES],
     inputs: [InputPlace; SLAVES],
     images: [Image; SLAVES],
-    /// Slaves that answer only the second telegram, one bit each.
+    /// Slaves that answer only the second telegram, one bit each; others are among the further frames' slaves.
     second_only: u32,
     /// Slaves that have answered this cycle's first telegram, one bit each.
     input_valid: u32,
@@ -98,10 +142,22 @@ pub struct Exchange<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usi
     counters: BusCounters,
 }
 
-impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a, F, SLAVES, MESSAGE> {
+impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTHER: usize>
+    Exchange<'a, F, SLAVES, MESSAGE, FURTHER>
+{
     /// An exchange without a plan that sends from `source`, in Ethernet frames with EtherCAT's own EtherType.
-    pub fn new(end: ExchangeEnd<'a, F, SLAVES, MESSAGE>, source: MacAddress) -> Self {
-        const { assert!(SLAVES <= 32, "the slaves that answered are reported in 32 bits") };
+    pub fn new(end: ExchangeEnd<'a, F, SLAVES, MESSAGE, FURTHER>, source: MacAddress) -> Self {
+        const {
+            assert!(
+                SLAVES <= SlaveSet::PLACES,
+                "the slaves that answered are reported in a set"
+            );
+            assert!(
+                SLAVES <= FIRST_FRAME_SLAVES_MAX || FURTHER > 0,
+                "a frame's slaves are counted in 32 bits"
+            );
+            assert!(FURTHER <= FURTHER_MAX, "the number of a frame fits a place");
+        };
         let mut exchange = Self {
             end,
             source,
@@ -110,6 +166,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
             plan_number: 0,
             first: Telegram::new(),
             second: Telegram::new(),
+            further: Further::new(),
             outputs: [OutputPlace::default(); SLAVES],
             inputs: [InputPlace::default(); SLAVES],
             images: [Image::default(); SLAVES],
@@ -141,7 +198,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
         }
     }
 
-    /// Starts a cycle: settles the last one, takes a new plan, and returns the input telegram to send.
+    /// Starts a cycle: settles the last one, takes a new plan, and returns the first input telegram to send.
     pub fn input_telegram(&mut self) -> &[u8] {
         self.settle();
         while self.end.plans.ready() {
@@ -176,7 +233,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
             Ok(arrival) => arrival,
             Err(kind) => {
                 if kind == Ignored::Late {
-                    self.counters.frames_late = self.counters.frames_late.saturating_add(1);
+                    self.count_late(frame);
                 }
                 if let Some(count) = self.counters.ignored.get_mut(kind as usize) {
                     *count = count.saturating_add(1);
@@ -205,7 +262,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
     pub fn image_at(&self, place: InputPlace) -> Option<&[u8; PROCESS_BYTES_MAX]> {
         // The remainder tells the compiler that the place exists.
         let image = self.images.get(usize::from(place.image) % SLAVES)?;
-        (self.input_valid & place.bit != 0).then(|| image.bytes())
+        let is_further = || place.further.is_some_and(|slave| self.further.has_inputs(slave));
+        (self.input_valid & place.bit != 0 || FURTHER > 0 && is_further()).then(|| image.bytes())
     }
 
     /// The outputs of a slave (position in the chain) that the next telegram will carry; empty if the slave has none.
@@ -217,12 +275,13 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
     /// The outputs of a slave (position in the chain) that the next telegram will carry, to be read.
     #[inline]
     pub fn sent(&self, slave: usize) -> &[u8] {
-        let place = self.output_place(slave);
-        let telegram = match self.plan.exchange {
-            ExchangeKind::Split => &self.second,
-            ExchangeKind::Combined => &self.first,
+        let (further, start, length) = self.output_place(slave).parts::<FURTHER>();
+        let telegram = match (further, self.plan.exchange) {
+            (Some(number), kind) => return self.further.bytes(number, kind, start, length).unwrap_or(&[]),
+            (None, ExchangeKind::Split) => &self.second,
+            (None, ExchangeKind::Combined) => &self.first,
         };
-        telegram.bytes(place.start.into(), place.length.into()).unwrap_or(&[])
+        telegram.bytes(start, length).unwrap_or(&[])
     }
 
     /// Place of the outputs of a slave (position in the chain), valid until the next plan.
@@ -233,20 +292,22 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
     /// The outputs at a place, as in [`Self::output`].
     #[inline]
     pub fn output_at(&mut self, place: OutputPlace) -> &mut [u8] {
-        let telegram = match self.plan.exchange {
-            ExchangeKind::Split => &mut self.second,
-            ExchangeKind::Combined => &mut self.first,
+        let (further, start, length) = place.parts::<FURTHER>();
+        let telegram = match (further, self.plan.exchange) {
+            (Some(number), kind) => {
+                return self.further.bytes_mut(number, kind, start, length).unwrap_or(&mut []);
+            }
+            (None, ExchangeKind::Split) => &mut self.second,
+            (None, ExchangeKind::Combined) => &mut self.first,
         };
-        telegram
-            .bytes_mut(place.start.into(), place.length.into())
-            .unwrap_or(&mut [])
+        telegram.bytes_mut(start, length).unwrap_or(&mut [])
     }
 
-    /// Members in operation, one bit for each place in the chain, that have not confirmed the last output telegram: its
-    /// reply has not come, or not with the expected working counter. 0 when outputs travel with the inputs.
+    /// Members in operation that have not confirmed the last output telegram that carries their outputs: its reply has
+    /// not come, or not with the expected working counter. None when outputs travel with the inputs.
     #[inline]
-    pub fn unconfirmed(&self) -> u32 {
-        self.unconfirmed
+    pub fn unconfirmed(&self) -> SlaveSet {
+        SlaveSet::from(self.unconfirmed) | self.further.unconfirmed()
     }
 
     /// This cycle's AL status of the slaves in use, and the number of all slaves that answered.
@@ -298,7 +359,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
     #[inline(always)]
     fn settle(&mut self) {
         let is_whole = self.first.state == SlotState::Received && self.second.state != SlotState::Sent;
-        if !is_whole || self.seen().differs(&self.reported) {
+        if !is_whole || !self.further.is_whole() || self.seen().differs(&self.reported, FURTHER > 0) {
             self.settle_changed();
         } else {
             self.silent_cycles = 0;
@@ -306,15 +367,16 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
         // The first telegram is sent next.
         self.second.state = SlotState::Idle;
         (self.input_valid, self.output_valid) = (0, 0);
+        self.further.settle();
         self.clock_ns = None;
     }
 
-    /// What this cycle's first telegram, if it was received, and its second one have shown.
+    /// What this cycle's telegrams have shown, if the first one was received.
     #[inline(always)]
     fn seen(&self) -> Observation {
         Observation {
             al: self.al,
-            answered: self.input_valid | self.output_valid & self.second_only,
+            answered: SlaveSet::from(self.input_valid | self.output_valid & self.second_only) | self.further.answered(),
             silent: false,
         }
     }
@@ -323,10 +385,11 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
     #[cold]
     #[inline(never)]
     fn settle_changed(&mut self) {
-        let mut lost = 0;
+        let mut lost = self.further.count_lost();
         let is_received = self.first.state == SlotState::Received;
         if self.first.state == SlotState::Sent {
             lost += 1;
+            self.first.counters.count_lost();
             self.silent_cycles = self.silent_cycles.saturating_add(1).min(SILENT_CYCLES);
             self.answer_lost();
         } else if is_received {
@@ -334,6 +397,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
         }
         if self.second.state == SlotState::Sent {
             lost += 1;
+            self.second.counters.count_lost();
         }
         self.counters.frames_lost = self.counters.frames_lost.saturating_add(lost);
         let silent = self.silent_cycles >= SILENT_CYCLES;
@@ -347,143 +411,6 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
         }
     }
 
-    #[cold]
-    fn take_plan(&mut self) {
-        if let Some(plan) = queue::take(&mut self.end.plans) {
-            self.adopt(plan);
-        }
-    }
-
-    /// Builds the telegrams of a plan; outputs are kept for slaves whose share and role are unchanged.
-    fn adopt(&mut self, plan: CyclicPlan<F, SLAVES>) {
-        let mut kept = [[0; PROCESS_BYTES_MAX]; SLAVES];
-        for (number, (new, kept)) in plan.slaves.iter().zip(&mut kept).enumerate() {
-            let old = self.plan.slaves.get(number).copied().unwrap_or_default();
-            let same = (old.output_address, old.output_length) == (new.output_address, new.output_length);
-            // Outputs that are no longer written return to zero. Nobody writes those of a terminal that is out of operation,
-            // and it would show them as soon as it is back.
-            let used = (old.role, self.plan.terminals.contains(number) && old.watched);
-            if same && used == (new.role, plan.terminals.contains(number) && new.watched) {
-                super::wire::write_bytes(kept, 0, self.output(number));
-            }
-        }
-        self.first.clear(&self.encapsulation, self.source);
-        self.second.clear(&self.encapsulation, self.source);
-        self.outputs = [OutputPlace::default(); SLAVES];
-        self.inputs = [InputPlace::default(); SLAVES];
-        (self.second_only, self.output_members) = (0, 0);
-        let kind = plan.exchange;
-        let places = self.inputs.iter_mut().zip(&mut self.outputs);
-        for ((number, slave), (inputs, outputs)) in (0..).zip(&plan.slaves).zip(places) {
-            let (first, second) = (slave.first_window(kind), slave.second_window(kind));
-            let bit = 1 << (number & 31);
-            self.second_only |= if first.is_none() && second.is_some() { bit } else { 0 };
-            let is_member = slave.watched && slave.role.is_some();
-            self.output_members |= if is_member && second.is_some() { bit } else { 0 };
-            let windows = [(first, &mut self.first), (second, &mut self.second)];
-            for (window, telegram) in windows {
-                let Some(window) = window else { continue };
-                let Some((share, data)) = telegram.push_share(number, slave.watched, &window) else {
-                    continue;
-                };
-                if window.input_length > 0 {
-                    let image = share as u8;
-                    *inputs = InputPlace { image, bit };
-                }
-                if window.output_length > 0 {
-                    *outputs = OutputPlace {
-                        start: data as u16 + window.output_offset,
-                        length: window.output_length,
-                    };
-                }
-            }
-        }
-        self.unconfirmed &= self.output_members;
-        self.first.push_common(plan.clock);
-        self.first.finish(&self.encapsulation);
-        self.second.finish(&self.encapsulation);
-        self.plan = plan;
-        self.plan_number = self.plan_number.wrapping_add(1);
-        for (number, kept) in kept.iter().enumerate() {
-            let output = self.output(number);
-            let length = output.len();
-            super::wire::write_bytes(output, 0, kept.get(..length).unwrap_or(&[]));
-        }
-    }
-
-    /// Appends the slow side's datagrams behind the cyclic ones: register requests, and one message. In operation the
-    /// two lanes alternate, so that neither waits for more than one datagram of the other.
-    #[cold]
-    fn append_acyclic(&mut self) {
-        let room = self.first.room();
-        let in_operation = self.first.is_watched();
-        let message_goes_first = in_operation && self.message_is_next && self.append_message(room);
-        let sent = match (message_goes_first, in_operation) {
-            (true, _) => 0,
-            (false, true) => self.append_requests(room, IN_OPERATION_MAX),
-            (false, false) => self.append_requests(room, IN_FLIGHT_MAX),
-        };
-        if !in_operation || (!message_goes_first && sent == 0) {
-            self.append_message(room);
-        }
-        self.message_is_next = sent > 0;
-        self.first.finish_acyclic(&self.encapsulation);
-    }
-
-    /// Appends at most `most` register requests as room permits; returns how many.
-    fn append_requests(&mut self, room: usize, most: usize) -> usize {
-        let mut owed = 0;
-        for _ in 0..most {
-            let Some(request) = queue::front(&self.end.requests) else {
-                break;
-            };
-            // One reply is owed for each request that is taken.
-            if !queue::has_room_for(&self.end.replies, owed + 1) {
-                break;
-            }
-            if request.data.len() > room {
-                if owed > 0 {
-                    // Replies come in order: this reply waits for those of the requests before it.
-                    break;
-                }
-                // There is room; it was checked above.
-                let no_room = Outcome::NoRoom { room: room as u16 };
-                let _ = queue::put(&mut self.end.replies, Reply::without_data(no_room));
-            } else if self
-                .first
-                .push_acyclic(request.command, request.address, &request.data, false)
-            {
-                owed += 1;
-            } else {
-                break;
-            }
-            let _ = queue::take(&mut self.end.requests);
-        }
-        owed
-    }
-
-    /// Appends the waiting message, if there is one and it fits.
-    fn append_message(&mut self, room: usize) -> bool {
-        let Some(message) = queue::front(&self.end.messages) else {
-            return false;
-        };
-        if !queue::has_room_for(&self.end.message_replies, 1) {
-            return false;
-        }
-        let fits_never = message.data.len() > room;
-        let taken = if fits_never {
-            let no_room = Outcome::NoRoom { room: room as u16 };
-            queue::put(&mut self.end.message_replies, Reply::without_data(no_room)).is_ok()
-        } else {
-            self.first
-                .push_acyclic(message.command, message.address, &message.data, true)
-        };
-        if taken {
-            let _ = queue::take(&mut self.end.messages);
-        }
-        taken && !fits_never
-    }
-
     #[inline]
     fn accept(&mut self, frame: &[u8]) -> Result<Arrival, Ignored> {
         let opened = self.encapsulation.open(frame, &self.source)?;
@@ -493,7 +420,26 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
         } else if self.second.awaits(index) {
             self.take_outputs(opened)
         } else {
-            Err(self.unexpected(index))
+            match self.further.awaits(index) {
+                Some(frame) => self.take_further(&opened, frame),
+                None => Err(self.unexpected(index)),
+            }
+        }
+    }
+
+    /// Counts a reply to a frame of an earlier cycle.
+    #[cold]
+    fn count_late(&mut self, frame: &[u8]) {
+        self.counters.frames_late = self.counters.frames_late.saturating_add(1);
+        let Ok(Opened { payload, .. }) = self.encapsulation.open(frame, &self.source) else {
+            return;
+        };
+        if self.first.is_origin(payload) {
+            self.first.counters.count_late();
+        } else if self.second.is_origin(payload) {
+            self.second.counters.count_late();
+        } else {
+            self.further.count_late(payload);
         }
     }
 
@@ -501,7 +447,10 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
     #[cold]
     fn unexpected(&self, index: u8) -> Ignored {
         let has_arrived = |state, of: u8| state == SlotState::Received && of == index;
-        if has_arrived(self.first.state, self.first.index) || has_arrived(self.second.state, self.second.index) {
+        let has_come = has_arrived(self.first.state, self.first.index)
+            || has_arrived(self.second.state, self.second.index)
+            || self.further.has_arrived(index);
+        if has_come {
             return Ignored::Duplicate;
         }
         let age = self.next_index.wrapping_sub(index);
@@ -520,7 +469,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
             return Err(Ignored::Reflection);
         }
         self.first.state = SlotState::Received;
-        self.count(&taken.answers, opened.mark);
+        self.count(taken.answers.errors, opened.mark);
         self.input_valid = taken.answers.answered;
         self.al = taken.al;
         self.clock_ns = taken.clock_ns;
@@ -540,60 +489,18 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'a
             return Err(Ignored::Reflection);
         }
         self.second.state = SlotState::Received;
-        self.count(&answers, opened.mark);
+        self.count(answers.errors, opened.mark);
         self.output_valid = answers.answered;
         self.unconfirmed &= !answers.answered;
         Ok(Arrival::Output)
     }
 
     #[inline(always)]
-    fn count(&mut self, answers: &Answers, mark: u8) {
+    fn count(&mut self, errors: u32, mark: u8) {
         self.mark_seen |= mark;
-        if answers.errors != 0 {
-            let errors = &mut self.counters.working_counter_errors;
-            *errors = errors.saturating_add(answers.errors);
-        }
-    }
-
-    /// Replies to every acyclic request of the input telegram.
-    #[cold]
-    fn answer_acyclic(&mut self, payload: &[u8]) {
-        let (replies, message_replies) = (&mut self.end.replies, &mut self.end.message_replies);
-        self.first.each_acyclic(payload, |place, data, working_counter| {
-            let outcome = Outcome::Processed { working_counter };
-            // Room was reserved when the request was taken.
-            if place.is_message {
-                let _ = queue::put(
-                    message_replies,
-                    Reply {
-                        data: bytes(data),
-                        outcome,
-                    },
-                );
-            } else {
-                let _ = queue::put(
-                    replies,
-                    Reply {
-                        data: bytes(data),
-                        outcome,
-                    },
-                );
-            }
-        });
-    }
-
-    /// Reports the acyclic requests of the input telegram to the slow side as lost. A separate function because of its
-    /// stack.
-    #[cold]
-    #[inline(never)]
-    fn answer_lost(&mut self) {
-        for place in &self.first.acyclic {
-            // Room was reserved when the request was taken.
-            if place.is_message {
-                let _ = queue::put(&mut self.end.message_replies, Reply::without_data(Outcome::Lost));
-            } else {
-                let _ = queue::put(&mut self.end.replies, Reply::without_data(Outcome::Lost));
-            }
+        if errors != 0 {
+            let counted = &mut self.counters.working_counter_errors;
+            *counted = counted.saturating_add(errors);
         }
     }
 }

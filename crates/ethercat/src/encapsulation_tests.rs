@@ -9,6 +9,7 @@ use super::encapsulation::Encapsulation;
 use super::error::BusError;
 use super::no_drivers::NoDrivers;
 use super::process_data::LOGICAL_START;
+use super::slave_set::SlaveSet;
 use super::supervisor::SupervisorEnd;
 use super::wire::{Address, Command, Datagram, Datagrams, FRAME_LEN_MAX, SOURCE_BIT, UdpRepr, read_u16};
 use core::net::Ipv4Addr;
@@ -67,7 +68,7 @@ fn starting(exchange: ExchangeKind) -> CyclicPlan<NoDrivers, SLAVES> {
 
 impl Rig {
     fn new(plan: CyclicPlan<NoDrivers, SLAVES>, encapsulation: Encapsulation) -> Self {
-        let (exchange_end, mut end, _) = Box::leak(Box::new(BusQueues::new())).split();
+        let (exchange_end, mut end, _) = Box::leak(Box::new(BusQueues::<_, _, _, 0>::new())).split();
         assert!(end.plans.enqueue(plan).is_ok());
         let mut exchange = Exchange::new(exchange_end, MAC);
         exchange.set_encapsulation(encapsulation);
@@ -260,7 +261,10 @@ fn slaves_with_one_direction_count_once_and_answer_where_their_data_travel() {
         assert!(rig.exchange.input(0).is_some() && rig.exchange.input(1).is_none());
         assert_eq!(rig.exchange.counters().working_counter_errors, 0);
         rig.input();
-        assert_eq!(rig.end.observations.dequeue().map(|seen| seen.answered), Some(0b1111));
+        assert_eq!(
+            rig.end.observations.dequeue().map(|seen| seen.answered),
+            Some(SlaveSet::from(0b1111))
+        );
     }
 }
 
@@ -380,7 +384,7 @@ fn udp_answers_and_own_packets_count_and_others_do_not() {
 fn several_requests_share_a_frame_and_only_lost_ones_are_sent_again() {
     let mut rig = Rig::new(starting(ExchangeKind::Split), Encapsulation::Raw);
     // The port outlives the borrow of the rig.
-    let (_, mut other, _) = Box::leak(Box::new(BusQueues::new())).split();
+    let (_, mut other, _) = Box::leak(Box::new(BusQueues::<_, _, _, 0>::new())).split();
     core::mem::swap(&mut rig.end, &mut other);
     let port = &mut other.port;
     let requests: Vec<Request> = (0..20)
@@ -413,7 +417,7 @@ fn several_requests_share_a_frame_and_only_lost_ones_are_sent_again() {
 #[test]
 fn a_request_that_nobody_waits_for_any_more_leaves_the_next_ones_reply_alone() {
     let mut rig = Rig::new(plan(ExchangeKind::Split), Encapsulation::Raw);
-    let (_, mut other, _) = Box::leak(Box::new(BusQueues::new())).split();
+    let (_, mut other, _) = Box::leak(Box::new(BusQueues::<_, _, _, 0>::new())).split();
     core::mem::swap(&mut rig.end, &mut other);
     {
         let mut abandoned = pin!(other.port.broadcast_write(0x0120, &[1, 0, 0]));

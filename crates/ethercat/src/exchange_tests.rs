@@ -380,12 +380,12 @@ fn the_supervisor_hears_of_changes_and_of_silence() {
     let seen = end.observations.dequeue().unwrap();
     assert_eq!(
         (seen.al, seen.answered, seen.silent),
-        (AlStatus { status: 8, slaves: 4 }, 0b1111, false)
+        (AlStatus { status: 8, slaves: 4 }, SlaveSet::from(0b1111), false)
     );
     assert_eq!(end.observations.dequeue(), None);
     (0..SILENT_CYCLES + 2).for_each(|_| drop(input(&mut exchange)));
     let seen = end.observations.dequeue().unwrap();
-    assert_eq!((seen.al.slaves, seen.answered, seen.silent), (0, 0, true));
+    assert_eq!((seen.al.slaves, seen.answered, seen.silent), (0, SlaveSet::NONE, true));
 }
 
 #[test]

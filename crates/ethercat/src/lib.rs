@@ -42,6 +42,8 @@ pub mod event;
 mod exchange_tests;
 pub mod foe;
 pub mod frame_port;
+#[cfg(test)]
+mod further_tests;
 pub mod mailbox;
 pub mod no_drivers;
 mod observation;
@@ -75,16 +77,17 @@ const ACYCLIC_PLACES: usize = IN_FLIGHT_MAX + 1;
 
 /// The queues between critical side, supervisor and application; in static memory.
 ///
-/// `SLAVES` is the maximum number of slaves on the bus, up to 32; `MESSAGE` is the longest acyclic datagram in bytes,
-/// which is also the longest usable mailbox window.
+/// `SLAVES` is the maximum number of slaves on the bus: up to 32, or up to 64 with further frames; `MESSAGE` is the longest
+/// acyclic datagram in bytes, which is also the longest usable mailbox window; `FURTHER` is the number of frames that a cycle
+/// may take in each direction besides the first one, up to [`cyclic::FURTHER_MAX`].
 #[derive(Debug)]
-pub struct BusQueues<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> {
+pub struct BusQueues<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTHER: usize = 0> {
     plans: Queue<CyclicPlan<F, SLAVES>, 3>,
     requests: Queue<Request, ACYCLIC_PLACES>,
     replies: Queue<Reply, ACYCLIC_PLACES>,
     messages: Queue<Request<MESSAGE>, 2>,
     message_replies: Queue<Reply<MESSAGE>, 2>,
-    observations: Queue<Observation, 17>,
+    observations: Queue<Observation, 13>,
     commands: Queue<BusCommand<F>, 3>,
     events: Queue<BusEvent, 33>,
     services: Queue<ServiceRequest, 2>,
@@ -103,7 +106,9 @@ pub struct ApplicationEnd<'a, F: SlaveFactory> {
     pub answers: Consumer<'a, ServiceResult>,
 }
 
-impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> BusQueues<F, SLAVES, MESSAGE> {
+impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTHER: usize>
+    BusQueues<F, SLAVES, MESSAGE, FURTHER>
+{
     /// Empty queues.
     pub const fn new() -> Self {
         Self {
@@ -124,7 +129,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> BusQueues<F, SL
     pub fn split(
         &mut self,
     ) -> (
-        ExchangeEnd<'_, F, SLAVES, MESSAGE>,
+        ExchangeEnd<'_, F, SLAVES, MESSAGE, FURTHER>,
         SupervisorEnd<'_, F, SLAVES, MESSAGE>,
         ApplicationEnd<'_, F>,
     ) {
@@ -149,6 +154,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> BusQueues<F, SL
             },
             SupervisorEnd {
                 plans: plans_in,
+                frames: 1 + FURTHER as u8,
                 port: AcyclicPort::new(
                     Lane::new(requests_in, replies_out),
                     Lane::new(messages_in, message_replies_out),
@@ -169,7 +175,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> BusQueues<F, SL
     }
 }
 
-impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Default for BusQueues<F, SLAVES, MESSAGE> {
+impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTHER: usize> Default
+    for BusQueues<F, SLAVES, MESSAGE, FURTHER>
+{
     fn default() -> Self {
         Self::new()
     }

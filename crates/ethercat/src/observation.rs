@@ -1,5 +1,7 @@
 //! What the critical side sees of the bus: states, arrivals, counters.
 
+use super::slave_set::SlaveSet;
+
 /// Why a received frame was dropped.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 #[repr(u8)]
@@ -43,8 +45,8 @@ pub struct AlStatus {
 pub struct Observation {
     /// The last AL status; zeros when the bus is silent.
     pub al: AlStatus,
-    /// One bit for each slave whose process data had the expected working counter.
-    pub answered: u32,
+    /// The slaves whose process data had the expected working counter.
+    pub answered: SlaveSet,
     /// Whether [`SILENT_CYCLES`](super::cyclic::SILENT_CYCLES) cycles passed without any reply.
     pub silent: bool,
 }
@@ -56,23 +58,24 @@ impl Observation {
             status: u16::MAX,
             slaves: u16::MAX,
         },
-        answered: u32::MAX,
+        answered: SlaveSet::ALL,
         silent: true,
     };
 
     /// The observation of a bus without replies.
     pub(super) const SILENT: Self = Self {
         al: AlStatus { status: 0, slaves: 0 },
-        answered: 0,
+        answered: SlaveSet::NONE,
         silent: true,
     };
 
-    /// Whether anything differs, compared in words.
+    /// Whether anything differs, compared in words; places beyond the first 32 only if there are such.
     #[inline(always)]
-    pub(super) fn differs(&self, other: &Self) -> bool {
+    pub(super) fn differs(&self, other: &Self, has_more_places: bool) -> bool {
         let packed = |al: &AlStatus| u32::from(al.status) | u32::from(al.slaves) << 16;
         let al = packed(&self.al) ^ packed(&other.al);
-        al | self.answered ^ other.answered | u32::from(self.silent ^ other.silent) != 0
+        let answered = self.answered.first() ^ other.answered.first();
+        al | answered | u32::from(self.silent ^ other.silent) != 0 || has_more_places && self.answered != other.answered
     }
 }
 
@@ -85,6 +88,25 @@ pub enum Arrival {
     Output,
     /// A frame that is not used; counted.
     Ignored(Ignored),
+}
+
+/// Counters of one of the telegrams of a cycle since start-up.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct FrameCounters {
+    /// Telegrams whose reply had not come when the next cycle began.
+    pub lost: u32,
+    /// Replies that arrived in a later cycle; each was also counted as lost.
+    pub late: u32,
+}
+
+impl FrameCounters {
+    pub(super) fn count_lost(&mut self) {
+        self.lost = self.lost.saturating_add(1);
+    }
+
+    pub(super) fn count_late(&mut self) {
+        self.late = self.late.saturating_add(1);
+    }
 }
 
 /// Counters of the exchange since start-up.

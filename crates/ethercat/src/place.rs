@@ -124,7 +124,9 @@ impl<T> Place<T> {
     }
 }
 
-impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Exchange<'_, F, SLAVES, MESSAGE> {
+impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTHER: usize>
+    Exchange<'_, F, SLAVES, MESSAGE, FURTHER>
+{
     /// Place of a whole value that begins at bit `bit` of a slave's inputs or outputs; `None` if the plan in force
     /// exchanges no such bits. `slave` is its place in the chain.
     pub fn place<T: Scalar>(&self, slave: usize, direction: Direction, bit: u16) -> Option<Place<T>> {

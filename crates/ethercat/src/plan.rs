@@ -3,8 +3,10 @@
 //! The supervisor makes a plan, checks with [`CyclicPlan::check`] whether it can be exchanged, and passes it to the
 //! critical side, which builds its frames from it.
 //!
-//! Invariant: each slave's data travel in separate datagrams, in every kind of exchange.
+//! Invariant: each slave's data travel in separate datagrams, in every kind of exchange; a [`Dealer`] deals them out to the
+//! frames for the check as for the exchange.
 
+use super::acyclic::REGISTER_BYTES_MAX;
 use super::driver::{Role, SlaveFactory};
 use super::slave_set::SlaveSet;
 use super::wire::{Address, Command, DATAGRAM_OVERHEAD, FRAME_LEN_MAX};
@@ -18,6 +20,13 @@ pub const SPAN_BYTES_MAX: usize = 2 * PROCESS_BYTES_MAX;
 pub(super) const HEADERS_LEN_MAX: usize = 14 + 20 + 8 + 2;
 /// Bytes of the AL status register that are read each cycle.
 pub(super) const AL_STATUS_LEN: usize = 2;
+
+/// Bytes of the datagram that reads it.
+pub(super) const STATUS_BYTES: usize = DATAGRAM_OVERHEAD + AL_STATUS_LEN;
+/// Bytes of datagrams that a frame carries in any encapsulation.
+const FRAME_BYTES: usize = FRAME_LEN_MAX - HEADERS_LEN_MAX;
+/// Most slaves whose data the first frame carries: the first ones of the chain.
+pub(super) const FIRST_FRAME_SLAVES_MAX: usize = 32;
 
 /// Most values that the application wants of slaves without a driver.
 pub const VALUES_MAX: usize = 16;
@@ -118,6 +127,8 @@ pub struct CyclicPlan<F: SlaveFactory, const SLAVES: usize> {
     /// Places of the slaves that take part with their own process data, see
     /// [`BusSetup::terminals`](super::event::BusSetup::terminals).
     pub terminals: SlaveSet,
+    /// Longest data of an acyclic datagram for which the first frame has to have room, bytes.
+    pub message: u16,
     /// Where the values are that the application wants ([`BusSetup::values`](super::event::BusSetup::values)).
     pub values: [ValueBit; VALUES_MAX],
 }
@@ -143,40 +154,78 @@ pub enum PlanError {
         /// Planned length, bytes.
         actual: u32,
     },
-    /// The cyclic datagrams and an acyclic datagram of the requested length do not fit into a frame.
+    /// The cyclic datagrams and an acyclic datagram of [`CyclicPlan::message`] bytes do not fit into the frames.
     Room {
         /// Bytes that a frame carries.
         expected: usize,
-        /// Bytes that the datagrams take.
+        /// Bytes that the datagrams of the last frame would take.
         actual: usize,
     },
 }
 
 impl<F: SlaveFactory, const SLAVES: usize> CyclicPlan<F, SLAVES> {
-    /// Checks that the plan can be exchanged in any encapsulation, with room for an acyclic datagram of `message` bytes
-    /// of data.
+    /// Checks that the plan can be exchanged in any encapsulation, in at most `frames` frames in each direction.
     ///
     /// # Errors
-    /// The first [`PlanError`] found. Slaves without a valid share, and those beyond the end of the frame, are not
+    /// The first [`PlanError`] found. Slaves without a valid share, and those beyond the end of the last frame, are not
     /// exchanged; acyclic datagrams that do not fit are answered by
     /// [`Outcome::NoRoom`](super::acyclic::Outcome::NoRoom).
-    pub fn check(&self, message: usize) -> Result<(), PlanError> {
+    pub fn check(&self, frames: usize) -> Result<(), PlanError> {
         for (number, slave) in (0..).zip(&self.slaves) {
             slave.check(number, self.exchange)?;
         }
-        let sum = |window: fn(&CyclicSlave<F>, ExchangeKind) -> Option<Window>| {
-            let windows = self.slaves.iter().filter_map(|slave| window(slave, self.exchange));
-            windows.fold(0, |sum, window| sum + DATAGRAM_OVERHEAD + usize::from(window.length))
-        };
-        let clock = self.clock.map_or(0, |clock| DATAGRAM_OVERHEAD + clock.length());
-        let status = DATAGRAM_OVERHEAD + AL_STATUS_LEN;
-        let first = sum(CyclicSlave::first_window) + status + clock + DATAGRAM_OVERHEAD + message;
-        let actual = first.max(sum(CyclicSlave::second_window));
-        let expected = FRAME_LEN_MAX - HEADERS_LEN_MAX;
-        if actual > expected {
-            return Err(PlanError::Room { expected, actual });
+        let (mut firsts, mut seconds) = self.dealers(frames);
+        for (number, slave) in (0..).zip(&self.slaves) {
+            if let Some(window) = slave.first_window(self.exchange) {
+                firsts.frame(number, &window);
+            }
+            if let Some(window) = slave.second_window(self.exchange) {
+                seconds.frame(number, &window);
+            }
+        }
+        let actual = firsts.used.max(seconds.used);
+        if actual > FRAME_BYTES {
+            return Err(PlanError::Room {
+                expected: FRAME_BYTES,
+                actual,
+            });
         }
         Ok(())
+    }
+
+    /// Deals out the datagrams of the cycle's start, and those after control.
+    pub(super) fn dealers(&self, frames: usize) -> (Dealer, Dealer) {
+        let clock = self.clock.map_or(0, |clock| DATAGRAM_OVERHEAD + clock.length());
+        let message = match frames {
+            0 | 1 => usize::from(self.message),
+            // The first frame is not filled so far that nothing is left for the slow side.
+            _ => usize::from(self.message).max(REGISTER_BYTES_MAX),
+        };
+        let used = STATUS_BYTES + clock + DATAGRAM_OVERHEAD + message;
+        let dealer = |used| Dealer { frames, frame: 0, used };
+        (dealer(used), dealer(0))
+    }
+}
+
+/// Deals the slaves' datagrams of one direction out to frames, in chain order. What no frame has room for goes to the last.
+#[derive(Debug)]
+pub(super) struct Dealer {
+    frames: usize,
+    frame: usize,
+    /// Bytes of datagrams in the present frame.
+    used: usize,
+}
+
+impl Dealer {
+    /// Number of the frame, from 0, that carries the datagram of the slave at a place in the chain.
+    pub(super) fn frame(&mut self, place: u8, window: &Window) -> usize {
+        let length = DATAGRAM_OVERHEAD + usize::from(window.length);
+        let is_beyond = self.frame == 0 && usize::from(place) >= FIRST_FRAME_SLAVES_MAX;
+        if (is_beyond || self.used + length > FRAME_BYTES) && self.frame + 1 < self.frames {
+            (self.frame, self.used) = (self.frame + 1, 0);
+        }
+        self.used += length;
+        self.frame
     }
 }
 
@@ -294,10 +343,12 @@ impl<F: SlaveFactory> CyclicSlave<F> {
 
 #[cfg(test)]
 mod tests {
+    extern crate std;
+
     use super::*;
     use crate::no_drivers::NoDrivers;
 
-    fn plan(slaves: usize, length: u16, exchange: ExchangeKind) -> CyclicPlan<NoDrivers, 32> {
+    fn plan(slaves: usize, length: u16, exchange: ExchangeKind, message: u16) -> CyclicPlan<NoDrivers, 64> {
         let slaves = (0..slaves as u32).map(|number| CyclicSlave {
             input_address: 0x1000 + 64 * number,
             input_length: length,
@@ -308,6 +359,7 @@ mod tests {
         CyclicPlan {
             slaves: slaves.collect(),
             exchange,
+            message,
             clock: Some(ReferenceClock {
                 station: 0x1001,
                 slaves: 4,
@@ -322,18 +374,56 @@ mod tests {
     #[test]
     fn four_drives_leave_room_for_a_mailbox_of_1024_bytes_and_too_many_do_not() {
         for kind in [ExchangeKind::Split, ExchangeKind::Combined] {
-            assert_eq!(plan(4, 32, kind).check(1024), Ok(()));
+            assert_eq!(plan(4, 32, kind, 1024).check(1), Ok(()));
         }
         // 16 datagrams of 44 bytes, AL status, clock and the message.
         assert_eq!(
-            plan(16, 32, ExchangeKind::Split).check(1024),
+            plan(16, 32, ExchangeKind::Split, 1024).check(1),
             Err(PlanError::Room {
                 expected: 1470,
                 actual: 16 * 44 + 14 + 20 + 1036
             })
         );
-        assert_eq!(plan(32, 32, ExchangeKind::Split).check(4), Ok(()));
-        assert!(plan(32, 32, ExchangeKind::Combined).check(4).is_err());
+        assert_eq!(plan(32, 32, ExchangeKind::Split, 4).check(1), Ok(()));
+        assert!(plan(32, 32, ExchangeKind::Combined, 4).check(1).is_err());
+    }
+
+    /// The frame of each slave's datagram of the cycle's start.
+    fn dealt(plan: &CyclicPlan<NoDrivers, 64>, frames: usize) -> std::vec::Vec<usize> {
+        let (mut firsts, _) = plan.dealers(frames);
+        let windows = (0..).zip(&plan.slaves);
+        windows
+            .filter_map(|(number, slave)| Some(firsts.frame(number, &slave.first_window(plan.exchange)?)))
+            .collect()
+    }
+
+    #[test]
+    fn what_one_frame_does_not_hold_is_dealt_out_to_several_in_chain_order() {
+        // 76 bytes a slave. The first frame keeps 14 + 20 + 12 + 1,024 bytes for others, and so has room for five slaves;
+        // each other one holds 19.
+        let full = plan(64, 32, ExchangeKind::Combined, 1024);
+        let numbers = [5, 19, 19, 19, 2];
+        let expected = numbers.iter().enumerate();
+        let expected: std::vec::Vec<usize> = expected
+            .flat_map(|(frame, slaves)| core::iter::repeat_n(frame, *slaves))
+            .collect();
+        assert_eq!((full.check(5), dealt(&full, 5)), (Ok(()), expected));
+        let error = PlanError::Room {
+            expected: 1470,
+            actual: 21 * 76,
+        };
+        assert_eq!(full.check(4), Err(error));
+        // Small data stay in one frame up to 32 slaves.
+        let small = plan(64, 1, ExchangeKind::Split, 0);
+        let frames = dealt(&small, 2);
+        assert_eq!(small.check(2), Ok(()));
+        assert!((0..64).all(|slave| frames[slave] == slave / 32), "{frames:?}");
+        // One frame that is enough is used alone.
+        assert!(
+            dealt(&plan(19, 16, ExchangeKind::Combined, 128), 5)
+                .iter()
+                .all(|frame| *frame == 0)
+        );
     }
 
     #[test]
@@ -343,22 +433,22 @@ mod tests {
             expected: 32,
             actual: 33,
         };
-        assert_eq!(plan(1, 33, ExchangeKind::Split).check(0), Err(error));
-        let mut apart = plan(2, 8, ExchangeKind::Split);
+        assert_eq!(plan(1, 33, ExchangeKind::Split, 0).check(1), Err(error));
+        let mut apart = plan(2, 8, ExchangeKind::Split, 0);
         apart.slaves[1].input_address = 0;
-        assert_eq!(apart.check(0), Ok(()));
+        assert_eq!(apart.check(1), Ok(()));
         apart.exchange = ExchangeKind::Combined;
         let error = PlanError::Span {
             slave: 1,
             expected: 64,
             actual: 0x1000 + 64 + 16,
         };
-        assert_eq!(apart.check(0), Err(error));
+        assert_eq!(apart.check(1), Err(error));
         let mut outputs_only = apart.clone();
         outputs_only.slaves[1].input_length = 0;
-        assert_eq!(outputs_only.check(0), Ok(()), "nothing is apart");
+        assert_eq!(outputs_only.check(1), Ok(()), "nothing is apart");
         apart.slaves[1].output_address = u32::MAX;
-        assert!(apart.check(0).is_err());
+        assert!(apart.check(1).is_err());
         assert!(apart.slaves[1].first_window(ExchangeKind::Combined).is_none());
     }
 

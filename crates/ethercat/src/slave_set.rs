@@ -64,6 +64,12 @@ impl SlaveSet {
         self.0.count_ones()
     }
 
+    /// Those of the first 32 places, one bit each.
+    #[inline]
+    pub(crate) const fn first(self) -> u32 {
+        self.0 as u32
+    }
+
     /// The places that also belong to another set.
     #[inline]
     #[must_use]
@@ -76,6 +82,68 @@ impl SlaveSet {
     #[must_use]
     pub const fn without(self, other: Self) -> Self {
         Self(self.0 & !other.0)
+    }
+}
+
+/// A set of places in the chain, as narrow as the places allow.
+pub(crate) trait Places: Copy + PartialEq + BitOrAssign {
+    /// No place.
+    const NONE: Self;
+
+    /// The set of one place.
+    fn of(place: usize) -> Self;
+
+    /// The places that do not belong to another set.
+    fn without(self, other: Self) -> Self;
+
+    /// Number of places.
+    fn count(self) -> u32;
+}
+
+/// The first 32 places.
+impl Places for u32 {
+    const NONE: Self = 0;
+
+    #[inline(always)]
+    fn of(place: usize) -> Self {
+        1 << (place & 31)
+    }
+
+    #[inline(always)]
+    fn without(self, other: Self) -> Self {
+        self & !other
+    }
+
+    #[inline(always)]
+    fn count(self) -> u32 {
+        self.count_ones()
+    }
+}
+
+impl Places for SlaveSet {
+    const NONE: Self = Self::NONE;
+
+    #[inline]
+    fn of(place: usize) -> Self {
+        Self::of(place)
+    }
+
+    #[inline]
+    fn without(self, other: Self) -> Self {
+        self.without(other)
+    }
+
+    #[inline]
+    fn count(self) -> u32 {
+        self.count()
+    }
+}
+
+/// The set of the places whose bits are set.
+impl From<u32> for SlaveSet {
+    #[inline]
+    fn from(places: u32) -> Self {
+        Self(places.into())
     }
 }
 

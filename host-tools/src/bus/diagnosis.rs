@@ -116,6 +116,143 @@ fn value(access: &mut dyn BusAccess, slave: u8, sub: u8) -> Result<Option<Vec<u8
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::error::code;
+    use etherpen::ethercat::diagnostics::{PIECE_BYTES_MAX, ServiceReply, ServiceRequest};
+    use etherpen::ethercat::error::BusError;
+
+    /// A slave's history as its dictionary shows it.
+    struct Slave {
+        room: u8,
+        newest: u8,
+        places: Vec<Vec<u8>>,
+        is_there: bool,
+        is_lost: bool,
+    }
+
+    impl Slave {
+        /// A ring with `room` places after messages with the codes 1 to `written`.
+        fn ring(room: u8, written: u32) -> Self {
+            let mut places = vec![Vec::new(); room.into()];
+            for code in 1..=written {
+                places[(code as usize - 1) % usize::from(room)] = message(code);
+            }
+            Self {
+                room,
+                newest: match written.checked_sub(1) {
+                    Some(last) => 6 + (last % u32::from(room)) as u8,
+                    None => 0,
+                },
+                places,
+                is_there: true,
+                is_lost: false,
+            }
+        }
+
+        fn codes(mut self) -> Vec<u32> {
+            let messages = read(&mut self, 1).expect("the bus is there");
+            messages.iter().map(|message| message.code).collect()
+        }
+    }
+
+    impl BusAccess for Slave {
+        fn request(&mut self, request: ServiceRequest) -> Result<ServiceReply, AccessError> {
+            if self.is_lost {
+                return Err(AccessError::Lost(ProgramError::new(code::FAILED, "the cable is out")));
+            }
+            let ServiceRequest::Upload { object, offset, .. } = request else {
+                panic!("{request:?}");
+            };
+            let value = match object.sub {
+                1 => vec![self.room],
+                2 => vec![self.newest],
+                sub => match self.places.get(usize::from(sub) - 6) {
+                    Some(message) => message.clone(),
+                    None => vec![],
+                },
+            };
+            if !self.is_there || object.index != 0x10F3 {
+                let abort = BusError::SdoAbort {
+                    object,
+                    code: 0x0602_0000,
+                };
+                return Err(AccessError::Refused(ServiceError::Bus(abort)));
+            }
+            let rest = &value[usize::from(offset)..];
+            Ok(ServiceReply::Piece {
+                total: value.len() as u16,
+                piece: rest.iter().copied().take(PIECE_BYTES_MAX).collect(),
+            })
+        }
+    }
+
+    /// An error with this diagnosis code, without parameters.
+    fn message(code: u32) -> Vec<u8> {
+        let mut bytes = code.to_le_bytes().to_vec();
+        bytes.extend([2, 0, 1, 0]);
+        bytes.extend(u64::from(code).to_le_bytes());
+        bytes
+    }
+
+    #[test]
+    fn the_newest_eight_messages_of_a_ring_are_read_newest_first() {
+        let newest = |last: u32, number: u32| -> Vec<u32> { (0..number).map(|before| last - before).collect() };
+        for (room, written, expected) in [
+            (8, 0, newest(0, 0)),
+            (8, 1, newest(1, 1)),
+            (8, 3, newest(3, 3)),
+            (8, 8, newest(8, 8)),
+            (8, 9, newest(9, 8)),
+            (8, 13, newest(13, 8)),
+            (8, 800, newest(800, 8)),
+            (3, 100, newest(100, 3)),
+            (1, 5, newest(5, 1)),
+            (20, 7, newest(7, 7)),
+            (20, 23, newest(23, 8)),
+            (250, 251, newest(251, 8)),
+        ] {
+            assert_eq!(
+                Slave::ring(room, written).codes(),
+                expected,
+                "{written} messages in {room} places"
+            );
+        }
+    }
+
+    #[test]
+    fn a_slave_without_history_and_damaged_contents_give_what_can_be_read() {
+        let without = Slave {
+            is_there: false,
+            ..Slave::ring(8, 5)
+        };
+        assert_eq!(without.codes(), Vec::<u32>::new());
+        for (room, newest) in [(0, 6), (8, 5), (8, 14), (8, 255), (255, 5), (8, 0)] {
+            let damaged = Slave {
+                room,
+                newest,
+                ..Slave::ring(8, 5)
+            };
+            assert_eq!(
+                damaged.codes(),
+                Vec::<u32>::new(),
+                "newest message {newest}, {room} places"
+            );
+        }
+        // The room promises more than the slave keeps: the places behind the last one are empty.
+        let promised = Slave {
+            room: 255,
+            ..Slave::ring(8, 3)
+        };
+        assert_eq!(promised.codes(), [3, 2, 1]);
+        // A message that is cut off, or without a code, ends what can be read.
+        for damage in [message(4)[..15].to_vec(), Vec::new(), vec![0; 16]] {
+            let mut damaged = Slave::ring(8, 13);
+            damaged.places[10 % 8] = damage;
+            assert_eq!(damaged.codes(), [13, 12]);
+        }
+        let mut lost = Slave::ring(8, 5);
+        lost.is_lost = true;
+        assert!(read(&mut lost, 1).is_err());
+    }
 
     #[test]
     fn a_message_is_decoded_and_an_empty_place_is_none() {

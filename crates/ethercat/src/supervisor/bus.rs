@@ -49,6 +49,8 @@ pub(super) struct OpenFile {
 pub(super) struct Bus<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> {
     pub(super) port: AcyclicPort<'a, MESSAGE>,
     plans: Producer<'a, CyclicPlan<F, SLAVES>>,
+    /// Frames of a cycle in each direction.
+    frames: u8,
     events: Producer<'a, BusEvent>,
     pub(super) setup: BusSetup<F>,
     /// When inputs are read and outputs are written: as the setup says, unless a member cannot.
@@ -77,11 +79,13 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
     pub(super) fn new(
         port: AcyclicPort<'a, MESSAGE>,
         plans: Producer<'a, CyclicPlan<F, SLAVES>>,
+        frames: u8,
         events: Producer<'a, BusEvent>,
     ) -> Self {
         Self {
             port,
             plans,
+            frames,
             events,
             setup: BusSetup::default(),
             exchange: ExchangeKind::default(),
@@ -229,6 +233,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             exchange: self.exchange,
             clock: self.reference_clock(),
             values: self.values,
+            message: self.longest_message(),
             terminals: (0..)
                 .zip(&self.slaves)
                 .filter(|(_, slave)| slave.is_terminal)
@@ -237,15 +242,20 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         }
     }
 
-    /// Fails if the slaves' process data leave no room in a frame for the longest mailbox of those in use.
-    pub(super) fn check_plan(&self) -> Result<(), BusError> {
+    /// The longest mailbox of the slaves in use, bytes.
+    fn longest_message(&self) -> u16 {
         let used = self.slaves.iter().filter(|slave| slave.is_used());
         let windows = used.map(|slave| {
             let (out, input) = (slave.fixed.mailbox_out.length, slave.fixed.mailbox_in.length);
             out.max(input)
         });
-        let longest = windows.max().unwrap_or(0);
-        self.plan().check(longest.into()).map_err(|error| match error {
+        windows.max().unwrap_or(0)
+    }
+
+    /// Fails if the slaves' process data leave no room in the frames for the longest mailbox of those in use.
+    pub(super) fn check_plan(&self) -> Result<(), BusError> {
+        let longest = self.longest_message();
+        self.plan().check(self.frames.into()).map_err(|error| match error {
             PlanError::ProcessData { expected, actual, .. } => BusError::ProcessLength { expected, actual },
             PlanError::Span { expected, actual, .. } => BusError::ProcessLength {
                 expected: expected as u16,
@@ -281,6 +291,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             clock: self.reference_clock(),
             values: [ValueBit::MISSING; VALUES_MAX],
             terminals: SlaveSet::NONE,
+            message: self.longest_message(),
         };
         while let Err(back) = self.plans.enqueue(plan) {
             plan = back;
@@ -384,7 +395,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
 
     /// What the critical side should see; a slave on which work is in progress is excluded.
     pub(super) fn expectation(&self, worked_on: Option<usize>) -> Expectation {
-        let (mut status, mut answering) = (0, 0);
+        let (mut status, mut answering) = (0, SlaveSet::NONE);
         for (number, slave) in self.slaves.iter().enumerate() {
             if slave.condition == Condition::Lost {
                 continue;
@@ -392,7 +403,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             status |= u16::from(slave.report.status);
             let exchanges = slave.lengths() != (0, 0);
             if slave.condition == Condition::Operational && worked_on != Some(number) && exchanges {
-                answering |= 1 << (number & 31);
+                answering |= SlaveSet::of(number);
             }
         }
         let (required, allowed) = match worked_on {

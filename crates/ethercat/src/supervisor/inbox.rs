@@ -10,6 +10,7 @@ use super::super::cyclic::Observation;
 use super::super::diagnostics::{ServiceError, ServiceRequest, ServiceResult};
 use super::super::driver::SlaveFactory;
 use super::super::event::BusCommand;
+use super::super::slave_set::SlaveSet;
 use super::super::wire::register;
 use crate::port_state::PortState;
 use crate::queue::front;
@@ -36,8 +37,8 @@ pub(super) struct Expectation {
     pub(super) required: u16,
     /// Bits that may be set.
     pub(super) allowed: u16,
-    /// Slaves whose inputs have to arrive, one bit each.
-    pub(super) answering: u32,
+    /// Slaves whose inputs have to arrive.
+    pub(super) answering: SlaveSet,
 }
 
 impl Expectation {
@@ -46,7 +47,7 @@ impl Expectation {
         slaves: None,
         required: 0,
         allowed: u16::MAX,
-        answering: 0,
+        answering: SlaveSet::NONE,
     };
 
     /// Whether the observed state differs from the expected one.
@@ -57,7 +58,7 @@ impl Expectation {
             || seen.al.slaves != slaves
             || self.required & !status != 0
             || status & !self.allowed != 0
-            || seen.answered & self.answering != self.answering
+            || !self.answering.without(seen.answered).is_empty()
     }
 }
 

@@ -9,7 +9,7 @@
 //!
 //! Invariants: a slave whose file is being transferred in BOOT is left there, whatever is commanded; a slave in use is only repaired on command; a slave is only taken back if it is the product that was
 //! there before; every wait ends; while work on one slave is in progress, a slave that stops answering or leaves OP is
-//! detected within 100 ms. One that leaves OP with its error flag set is detected after that work, if a slave that waits
+//! detected within 100 ms, or 200 ms in a chain of more than 32. One that leaves OP with its error flag set is detected after that work, if a slave that waits
 //! for its own repair shows that flag already: the answers of all slaves come as one sum.
 
 mod bring_up;
@@ -31,6 +31,7 @@ use super::driver::SlaveFactory;
 use super::error::BusError;
 pub use super::event::{BusCommand, BusEvent, BusSetup, Step};
 use super::slave::Condition;
+use super::slave_set::SlaveSet;
 use crate::port_state::PortState;
 pub use bring_up::DISCOVERY_TIMEOUT_MS;
 use bus::Bus;
@@ -63,12 +64,18 @@ const _: () = {
         LOOK_PERIOD_MS as usize * 32_usize.div_ceil(bus::LOOK_MAX) < 100,
         "each slave is looked at within 100 ms"
     );
+    assert!(
+        LOOK_PERIOD_MS as usize * SlaveSet::PLACES.div_ceil(bus::LOOK_MAX) < 200,
+        "each slave of the longest chain is looked at within 200 ms"
+    );
 };
 
 /// The supervisor's ends of the queues.
 pub struct SupervisorEnd<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> {
     /// Plans to the critical side.
     pub plans: Producer<'a, CyclicPlan<F, SLAVES>>,
+    /// Frames that the critical side may send in each direction of a cycle.
+    pub frames: u8,
     /// Acyclic requests and their replies.
     pub port: AcyclicPort<'a, MESSAGE>,
     /// Bus states from the critical side.
@@ -145,6 +152,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
     pub fn new(end: SupervisorEnd<'a, F, SLAVES, MESSAGE>) -> Self {
         let SupervisorEnd {
             plans,
+            frames,
             port,
             observations,
             commands,
@@ -153,7 +161,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             answers,
         } = end;
         Self {
-            bus: Bus::new(port, plans, events),
+            bus: Bus::new(port, plans, frames, events),
             inbox: Inbox {
                 observations,
                 commands,

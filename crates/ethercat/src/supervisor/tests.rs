@@ -86,7 +86,7 @@ impl Outside {
 
     fn with_bus(chain: &[Device]) -> (Self, TestBus) {
         let (outside, end) = Self::new(chain);
-        (outside, Bus::new(end.port, end.plans, end.events))
+        (outside, Bus::new(end.port, end.plans, end.frames, end.events))
     }
 
     fn stations(&self) -> Vec<u16> {

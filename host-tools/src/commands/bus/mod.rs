@@ -61,7 +61,7 @@ struct WayArguments {
 enum Action {
     /// List the slaves in chain order, with identity and state.
     Scan,
-    /// Show everything about one slave, or about all.
+    /// Show everything about one slave, or about all. A master on this computer takes up to 64 slaves, the robot up to 16.
     Info {
         /// The slave, from 1.
         #[arg(value_name = "N", value_parser = slave_number)]
