@@ -90,3 +90,15 @@ fn four_generic_drives_draw_in_cyclic_synchronous_position() {
     let report = draw(SlaveKind::Cia402, AxisMode::Position);
     assert!(report.path_deviation_max_mm <= DEVIATION_MAX_MM);
 }
+
+#[test]
+fn four_akd_draw_in_cyclic_synchronous_velocity() {
+    let report = draw(SlaveKind::Akd, AxisMode::Velocity);
+    assert!(report.path_deviation_max_mm <= DEVIATION_MAX_MM);
+}
+
+#[test]
+fn four_akd_draw_in_cyclic_synchronous_position() {
+    let report = draw(SlaveKind::Akd, AxisMode::Position);
+    assert!(report.path_deviation_max_mm <= DEVIATION_MAX_MM);
+}

@@ -6,6 +6,7 @@
 #[macro_use]
 #[path = "../again/mod.rs"]
 mod again;
+mod akd;
 mod axes;
 mod board;
 mod bursts;
