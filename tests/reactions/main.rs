@@ -18,6 +18,7 @@ mod feedback_soak;
 mod homing;
 mod identity;
 mod io;
+mod io_samples;
 mod limits;
 mod liveness;
 mod matrix;
