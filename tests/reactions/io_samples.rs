@@ -67,7 +67,7 @@ fn an_input_and_an_output_are_in_the_sample_of_the_millisecond_in_which_they_cha
             contact ^= random.unit() < 0.2;
             robot.set_inputs(EL1008, u8::from(contact) << 3);
             if step % 23 == 0 {
-                let value = step / 23 & 1;
+                let value = (step / 23) % 2;
                 robot.say(Command::SetOutput { io: VALVE as u8, value });
             }
             robot.run(1);

@@ -88,6 +88,9 @@ pub const STATUS: u16 = 3;
 /// Channel of the events.
 pub const EVENT: u16 = 4;
 
+/// Bytes of a sample in recordings from before it had named inputs and outputs.
+const BYTES_WITHOUT_IO: usize = 108;
+
 /// Topic of what only a black box records; a recording has none.
 pub const BLACK_BOX: &str = "/black_box";
 
@@ -193,13 +196,12 @@ impl Moment {
                 *column.get_mut(axis)? = f32::from_bits(cdr.word()?);
             }
         }
-        let io = match cdr.short() {
-            Some(set) => IoBits {
-                set,
+        let io = match bytes.len() {
+            BYTES_WITHOUT_IO => IoBits::UNKNOWN,
+            _ => IoBits {
+                set: cdr.short()?,
                 missing: cdr.short()?,
             },
-            // Older recordings end here.
-            None => IoBits::UNKNOWN,
         };
         let [setpoint_rad, measured_rad, setpoint_rad_s, measured_rad_s] = columns;
         let sample = Sample {
@@ -479,7 +481,7 @@ mod tests {
     fn a_sample_from_before_it_had_inputs_is_read_and_half_of_them_is_not() {
         let mut bytes = Vec::new();
         moment().encode(&mut bytes);
-        let older = Moment::decode(&bytes[..108]).expect("a sample");
+        let older = Moment::decode(&bytes[..BYTES_WITHOUT_IO]).expect("a sample");
         assert_eq!((older.sample.io, older.sample.io.get(0)), (IoBits::UNKNOWN, None));
         assert_eq!(older.position, moment().position);
         assert_eq!(Moment::decode(&bytes[..110]), None);
@@ -527,7 +529,8 @@ mod tests {
         let mut bytes = Vec::new();
         moment().encode(&mut bytes);
         for length in 0..bytes.len() {
-            assert_eq!(Moment::decode(&bytes[..length]), None, "{length}");
+            let is_older = length == BYTES_WITHOUT_IO;
+            assert_eq!(Moment::decode(&bytes[..length]).is_some(), is_older, "{length}");
             assert_eq!(State::decode(&bytes[..length]), None, "{length}");
             Event::decode(&bytes[..length]);
         }

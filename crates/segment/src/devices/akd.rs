@@ -272,7 +272,7 @@ fn set_output(servo: &mut Servo, index: u16, value: i64) {
     match index {
         INTERPOLATION => {}
         0x607A => {
-            let increments = servo.drive.from_units(value as i32);
+            let increments = servo.drive.increments_of(value as i32);
             generic_drive::set_output(servo, index, increments.into());
         }
         index => generic_drive::set_output(servo, index, value),

@@ -227,7 +227,7 @@ impl Drive {
     }
 
     /// The encoder's increments for a position in the units of the bus.
-    pub(crate) fn from_units(&self, position: i32) -> i32 {
+    pub(crate) fn increments_of(&self, position: i32) -> i32 {
         self.units.increments(position, self.options.increments_per_revolution)
     }
 

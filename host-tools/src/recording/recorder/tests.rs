@@ -124,8 +124,8 @@ fn a_recording_as_csv_is_the_telemetry_table_byte_by_byte() {
     assert!(heading.ends_with(",v4_rad_s,io_door,io_pen,io_valve"), "{heading}");
     for row in rows.lines() {
         let t_ms: u32 = row.split(',').next().unwrap().parse().unwrap();
-        let of = |bit: u32| match t_ms / 1_000 >> bit & 1 {
-            0 => (t_ms / 3 >> bit & 1).to_string(),
+        let of = |bit: u32| match ((t_ms / 1_000) >> bit) & 1 {
+            0 => (((t_ms / 3) >> bit) & 1).to_string(),
             _ => String::new(),
         };
         assert!(row.ends_with(&format!(",{},{},{}", of(0), of(1), of(2))), "{row}");
