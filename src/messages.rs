@@ -20,7 +20,7 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 /// Version of this protocol; both ends must agree.
-pub const PROTOCOL_VERSION: u16 = 13;
+pub const PROTOCOL_VERSION: u16 = 14;
 /// Slaves described in a status: all that the robot's bus can have.
 pub const SLAVES_REPORTED: usize = BUS_SLAVES_MAX;
 
@@ -135,6 +135,34 @@ pub struct Sample {
     pub setpoint_rad_s: [f32; AXES],
     /// Measured joint velocities, rad/s.
     pub measured_rad_s: [f32; AXES],
+    /// The named inputs and outputs.
+    pub io: IoBits,
+}
+
+/// The named inputs and outputs in one millisecond: a bit for each in the order of the configuration, from the lowest bit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct IoBits {
+    /// Points whose value is not 0: inputs as last read, outputs as written for the next output
+    /// telegram.
+    pub set: u16,
+    /// Points that are not exchanged.
+    pub missing: u16,
+}
+
+impl IoBits {
+    /// Points of which nothing is known.
+    pub const UNKNOWN: Self = Self {
+        set: 0,
+        missing: u16::MAX,
+    };
+
+    /// Whether the value of a point, from 0, is not 0; `None` while it is missing.
+    pub const fn get(self, io: usize) -> Option<bool> {
+        if io >= u16::BITS as usize || self.missing >> io & 1 != 0 {
+            return None;
+        }
+        Some(self.set >> io & 1 != 0)
+    }
 }
 
 /// Counters of the firmware since it started.

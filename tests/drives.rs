@@ -15,6 +15,9 @@ use std::path::Path;
 const TORQUE_FEEDBACK_GAIN_PER_S: f64 = 40.0;
 /// Farthest the pen may be from its line where the drives close the velocity loop, mm.
 const DEVIATION_MAX_MM: f64 = 0.1;
+/// Farthest the pen may be from its line where the drives get a target without a velocity beside it, mm: they follow its
+/// changes of speed later than those that get one.
+const TARGET_ALONE_DEVIATION_MAX_MM: f64 = 0.15;
 /// Farthest the pen may be from its line in torque mode, mm: gravity, friction and coupling are left to the feedback.
 const TORQUE_DEVIATION_MAX_MM: f64 = 1.0;
 /// Most of the line that may be missing, as a share: in torque mode the pen's spring does not always reach the paper.
@@ -89,4 +92,16 @@ fn four_generic_drives_draw_in_cyclic_synchronous_torque() {
 fn four_generic_drives_draw_in_cyclic_synchronous_position() {
     let report = draw(SlaveKind::Cia402, AxisMode::Position);
     assert!(report.path_deviation_max_mm <= DEVIATION_MAX_MM);
+}
+
+#[test]
+fn four_akd_draw_in_cyclic_synchronous_velocity() {
+    let report = draw(SlaveKind::Akd, AxisMode::Velocity);
+    assert!(report.path_deviation_max_mm <= DEVIATION_MAX_MM);
+}
+
+#[test]
+fn four_akd_draw_in_cyclic_synchronous_position() {
+    let report = draw(SlaveKind::Akd, AxisMode::Position);
+    assert!(report.path_deviation_max_mm <= TARGET_ALONE_DEVIATION_MAX_MM);
 }

@@ -44,7 +44,7 @@ const PAUSE_MS: usize = 10;
 const DISCARD: usize = 11;
 
 /// Version of this layout and of the encodings in it.
-const LAYOUT: u32 = 1;
+const LAYOUT: u32 = 2;
 /// How long recordings rest after a read.
 const PAUSE_AFTER_READ_MS: u32 = 5_000;
 

@@ -22,8 +22,10 @@ impl Flags {
     const SUBSTITUTE_CLOCK: u32 = 1 << 4;
     const INPUT_OPEN: u32 = 1 << 5;
     const VALID_FROM: usize = 8;
-    const HOMED_FROM: usize = 16;
-    const INPUT_FROM: usize = 24;
+    const HOMED_FROM: usize = 12;
+    const INPUT_FROM: usize = 16;
+    /// Above the flags a word of the memory has the late output telegrams.
+    const LATE_FROM: u32 = 24;
 
     fn of(report: &CycleReport) -> Self {
         let interlock = match report.interlock {
@@ -101,8 +103,10 @@ pub struct Sample {
     pub clock_error_ns: Option<i32>,
     /// Telegrams without a reply since the start, lower 16 bits.
     pub frames_lost: u16,
-    /// Late output telegrams since the start, lower 16 bits.
-    pub cycles_late: u16,
+    /// Late output telegrams since the start, lower 8 bits.
+    pub cycles_late: u8,
+    /// The named inputs and outputs whose value was not 0, a bit for each in the order of the configuration.
+    pub io_set: u16,
 }
 
 impl Sample {
@@ -117,7 +121,8 @@ impl Sample {
             flags: Flags::of(report),
             clock_error_ns: report.clock_error_ns,
             frames_lost: report.bus.frames_lost as u16,
-            cycles_late: report.counters.cycles_late as u16,
+            cycles_late: report.counters.cycles_late as u8,
+            io_set: report.io.set,
         }
     }
 
@@ -128,24 +133,10 @@ impl Sample {
         let [i0, i1] = pairs(&self.increments);
         let [w0, w1] = pairs(&self.status_word);
         let clock = self.clock_error_ns.unwrap_or(NO_CLOCK) as u32;
-        let counters = pair(self.frames_lost, self.cycles_late);
+        let lost = pair(self.frames_lost, self.io_set);
+        let flags = self.flags.0 | u32::from(self.cycles_late) << Flags::LATE_FROM;
         [
-            self.cycle,
-            s0,
-            s1,
-            s2,
-            s3,
-            m0,
-            m1,
-            m2,
-            m3,
-            i0,
-            i1,
-            w0,
-            w1,
-            self.flags.0,
-            clock,
-            counters,
+            self.cycle, s0, s1, s2, s3, m0, m1, m2, m3, i0, i1, w0, w1, flags, clock, lost,
         ]
     }
 
@@ -167,7 +158,7 @@ impl Sample {
             w1,
             flags,
             clock,
-            counters,
+            lost,
         ] = *words;
         let clock = clock as i32;
         Self {
@@ -176,10 +167,11 @@ impl Sample {
             measured_rad: [m0, m1, m2, m3].map(f32::from_bits),
             increments: halves([i0, i1]),
             status_word: halves([w0, w1]),
-            flags: Flags(flags),
+            flags: Flags(flags & !(u32::MAX << Flags::LATE_FROM)),
             clock_error_ns: (clock != NO_CLOCK).then_some(clock),
-            frames_lost: counters as u16,
-            cycles_late: (counters >> 16) as u16,
+            frames_lost: lost as u16,
+            cycles_late: (flags >> Flags::LATE_FROM) as u8,
+            io_set: (lost >> 16) as u16,
         }
     }
 }
@@ -199,3 +191,4 @@ fn halves(words: [u32; AXES / 2]) -> [u16; AXES] {
 }
 
 const _: () = assert!(SAMPLE_WORDS * 4 <= 64);
+const _: () = assert!(AXES <= Flags::HOMED_FROM - Flags::VALID_FROM && AXES <= Flags::INPUT_FROM - Flags::HOMED_FROM);

@@ -79,6 +79,7 @@ fn report(cycle: u32, random: &mut Random) -> CycleReport {
     report.fault = random.next().is_multiple_of(2).then_some(Fault::SetpointUnderrun);
     report.bus.frames_lost = random.next() as u32;
     report.counters.cycles_late = random.next() as u32;
+    report.io.set = random.next() as u16;
     report
 }
 

@@ -317,7 +317,7 @@ impl Io {
     #[inline(never)]
     fn write_points(&mut self, group: &mut impl IoGroup, has_fault: bool, pen: bool) {
         let points = self.points.iter().zip(&self.places).zip(&mut self.values);
-        for ((point, place), value) in points {
+        for (io, ((point, place), value)) in (0_u8..).zip(points) {
             if point.direction == IoDirection::In {
                 continue;
             }
@@ -328,6 +328,8 @@ impl Io {
             }
             if let Some(place) = place {
                 group.set_terminal_value(place, *value);
+                let bit = 1 << (io & 15);
+                self.report.set = self.report.set & !bit | if *value != 0 { bit } else { 0 };
             }
         }
     }

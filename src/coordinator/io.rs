@@ -10,7 +10,7 @@ use crate::control::io::{IoPlace, IoReport};
 use crate::control::pen_switch::PenSwitch;
 use crate::control::sampler::SamplerCommand;
 use crate::ethercat::slave_set::SlaveSet;
-use crate::messages::IoState;
+use crate::messages::{IoBits, IoState};
 use heapless::Vec;
 
 /// Shortest time between two status messages because of inputs and outputs, ms.
@@ -68,6 +68,15 @@ impl Io {
     /// Whether a slave is a terminal whose failure is no fault.
     pub(super) const fn is_spared(&self, position: u8) -> bool {
         self.spared.contains(position as usize)
+    }
+
+    /// The points of a report for a sample.
+    pub(super) fn bits(&self, report: &IoReport) -> IoBits {
+        let points = (1_u32 << self.points.len()) - 1;
+        IoBits {
+            set: report.set,
+            missing: points as u16 & !report.valid,
+        }
     }
 
     /// Whether any terminal is missing whose failure is no fault.

@@ -64,6 +64,10 @@ fn sample(t_ms: u32) -> Sample {
         measured_rad: [angle * 0.999; 4],
         setpoint_rad_s: [angle * 7.1; 4],
         measured_rad_s: [angle * 7.3; 4],
+        io: IoBits {
+            set: u16::MAX,
+            missing: u16::MAX,
+        },
     }
 }
 

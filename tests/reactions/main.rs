@@ -6,6 +6,7 @@
 #[macro_use]
 #[path = "../again/mod.rs"]
 mod again;
+mod akd;
 mod axes;
 mod board;
 mod bursts;
@@ -17,6 +18,7 @@ mod feedback_soak;
 mod homing;
 mod identity;
 mod io;
+mod io_samples;
 mod limits;
 mod liveness;
 mod matrix;

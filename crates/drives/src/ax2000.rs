@@ -2,6 +2,11 @@
 //!
 //! Its process data objects have fixed contents; one of each direction is assigned. Objects, modes and scales: the
 //! drive's public EtherCAT documentation.
+//!
+//! It has no position mode here. The drive has one (mode -1), and the numbers of its objects suggest 0x1701 for it, but
+//! no public source shows what 0x1701 holds, and whether a target counts one motor turn, as 0x6064 does, or all of them.
+//! The public configurations of its sister, the SERVOSTAR 600, have 0x1702 and 0x1703 with the contents below, and no
+//! other. A guess would move a motor.
 
 use super::{
     CONTROL_WORD, Clocks, Digits, DriveDescription, DriveSettings, ModeDescription, POSITION, QUICK_STOP_DECELERATION,

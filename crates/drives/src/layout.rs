@@ -314,7 +314,7 @@ mod tests {
     #[test]
     fn every_description_maps_what_its_modes_need() {
         for drive in [&ax2000::AX2000, &akd::AKD, &generic::GENERIC] {
-            for mode in [AxisMode::Velocity, AxisMode::Torque] {
+            for mode in [AxisMode::Velocity, AxisMode::Torque, AxisMode::Position] {
                 if drive.mode(mode).is_some() {
                     layout(drive, mode).unwrap();
                 }

@@ -46,7 +46,7 @@ use etherpen_ethercat::wire::coe::Object;
 use heapless::Vec;
 
 /// Most settings written to a drive before use.
-pub const SETTINGS_MAX: usize = 8;
+pub const SETTINGS_MAX: usize = 12;
 /// Control word, 16 bits.
 pub const CONTROL_WORD: Object = Object::new(0x6040, 0);
 /// Status word, 16 bits.

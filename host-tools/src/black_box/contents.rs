@@ -46,8 +46,10 @@ pub struct SampleEntry {
     pub clock_error_ns: Option<i32>,
     /// Telegrams without a reply since the start, lower 16 bits.
     pub frames_lost: u16,
-    /// Late output telegrams since the start, lower 16 bits.
-    pub cycles_late: u16,
+    /// Late output telegrams since the start, lower 8 bits.
+    pub cycles_late: u8,
+    /// The named inputs and outputs whose value was not 0, a bit for each in the order of the configuration.
+    pub io_set: u16,
 }
 
 /// A recorded event.
@@ -231,6 +233,7 @@ fn sample_entry(sample: &Sample, end_ms: u32) -> SampleEntry {
         clock_error_ns: sample.clock_error_ns,
         frames_lost: sample.frames_lost,
         cycles_late: sample.cycles_late,
+        io_set: sample.io_set,
     }
 }
 

@@ -15,7 +15,7 @@ use etherpen::black_box::{Direction, Event};
 use etherpen::board::Interlock;
 use etherpen::config::Config;
 use etherpen::drives::cia402::{DriveState, StatusWord};
-use etherpen::messages::Sample;
+use etherpen::messages::{IoBits, Sample};
 use etherpen::motion::Pen;
 use etherpen::robots::{AXES, JointAngles, Kinematics, Position};
 use etherpen_segment::capture::{self, Capture};
@@ -33,7 +33,7 @@ const RECORDED_TOPIC: Topic = Topic {
     schema_name: "etherpen/msg/BlackBox",
     schema: "# What a black box records of one millisecond, beside the angles in /sample.\n\
              uint32 t_ms\nfloat32 clock_error_ns  # NaN without a clock\n\
-             uint16 frames_lost  # lower 16 bits\nuint16 cycles_late  # lower 16 bits\n\
+             uint16 frames_lost  # lower 16 bits\nuint16 cycles_late  # lower 8 bits\n\
              uint16 status_word1\nuint16 status_word2\nuint16 status_word3\nuint16 status_word4\n\
              # Encoder positions, their lower 16 bits:\n\
              uint16 increments1\nuint16 increments2\nuint16 increments3\nuint16 increments4\n\
@@ -227,6 +227,11 @@ fn sample(entry: &SampleEntry, mode: Mode, [setpoint_rad_s, measured_rad_s]: Spe
         measured_rad: entry.measured_rad,
         setpoint_rad_s,
         measured_rad_s,
+        // What is missing is not recorded.
+        io: IoBits {
+            set: entry.io_set,
+            missing: 0,
+        },
     }
 }
 
@@ -288,7 +293,7 @@ fn encode_recorded(entry: &SampleEntry, out: &mut Vec<u8>) {
     out.extend(entry.t_ms.to_le_bytes());
     let clock_error_ns = entry.clock_error_ns.map_or(f32::NAN, |error| error as f32);
     out.extend(clock_error_ns.to_le_bytes());
-    let halves = [entry.frames_lost, entry.cycles_late].into_iter();
+    let halves = [entry.frames_lost, entry.cycles_late.into()].into_iter();
     for half in halves.chain(entry.status_word).chain(entry.increments) {
         out.extend(half.to_le_bytes());
     }

@@ -119,139 +119,145 @@ mod tests {
     use crate::error::code;
     use etherpen::ethercat::diagnostics::{PIECE_BYTES_MAX, ServiceReply, ServiceRequest};
     use etherpen::ethercat::error::BusError;
+    use std::collections::BTreeMap;
 
-    /// A slave's history as its dictionary shows it.
-    struct Slave {
-        room: u8,
-        newest: u8,
-        places: Vec<Vec<u8>>,
-        is_there: bool,
-        is_lost: bool,
+    /// A ring for eight messages.
+    const EIGHT: u8 = 8;
+
+    /// Slaves of which one, the third, has these entries of object 0x10F3.
+    struct Slaves {
+        entries: BTreeMap<u8, Vec<u8>>,
+        /// Requests until the bus is lost.
+        left: usize,
     }
 
-    impl Slave {
-        /// A ring with `room` places after messages with the codes 1 to `written`.
-        fn ring(room: u8, written: u32) -> Self {
-            let mut places = vec![Vec::new(); room.into()];
-            for code in 1..=written {
-                places[(code as usize - 1) % usize::from(room)] = message(code);
-            }
-            Self {
-                room,
-                newest: match written.checked_sub(1) {
-                    Some(last) => 6 + (last % u32::from(room)) as u8,
-                    None => 0,
-                },
-                places,
-                is_there: true,
-                is_lost: false,
-            }
-        }
-
-        fn codes(mut self) -> Vec<u32> {
-            let messages = read(&mut self, 1).expect("the bus is there");
-            messages.iter().map(|message| message.code).collect()
-        }
-    }
-
-    impl BusAccess for Slave {
+    impl BusAccess for Slaves {
         fn request(&mut self, request: ServiceRequest) -> Result<ServiceReply, AccessError> {
-            if self.is_lost {
-                return Err(AccessError::Lost(ProgramError::new(code::FAILED, "the cable is out")));
-            }
-            let ServiceRequest::Upload { object, offset, .. } = request else {
+            self.left = self
+                .left
+                .checked_sub(1)
+                .ok_or_else(|| AccessError::Lost(ProgramError::new(code::FAILED, "gone")))?;
+            let ServiceRequest::Upload {
+                slave, object, offset, ..
+            } = request
+            else {
                 panic!("{request:?}");
             };
-            let value = match object.sub {
-                1 => vec![self.room],
-                2 => vec![self.newest],
-                sub => match self.places.get(usize::from(sub) - 6) {
-                    Some(message) => message.clone(),
-                    None => vec![],
-                },
+            let entry = Some(object)
+                .filter(|object| slave == 2 && object.index == HISTORY)
+                .and_then(|object| self.entries.get(&object.sub));
+            let refused = BusError::SdoAbort {
+                object,
+                code: 0x0602_0000,
             };
-            if !self.is_there || object.index != 0x10F3 {
-                let abort = BusError::SdoAbort {
-                    object,
-                    code: 0x0602_0000,
-                };
-                return Err(AccessError::Refused(ServiceError::Bus(abort)));
-            }
-            let rest = &value[usize::from(offset)..];
+            let value = entry.ok_or(AccessError::Refused(ServiceError::Bus(refused)))?;
+            let rest = value.get(usize::from(offset)..).unwrap_or_default();
+            let length = rest.len().min(PIECE_BYTES_MAX);
             Ok(ServiceReply::Piece {
                 total: value.len() as u16,
-                piece: rest.iter().copied().take(PIECE_BYTES_MAX).collect(),
+                piece: rest[..length].try_into().expect("a piece"),
             })
         }
     }
 
-    /// An error with this diagnosis code, without parameters.
-    fn message(code: u32) -> Vec<u8> {
-        let mut bytes = code.to_le_bytes().to_vec();
-        bytes.extend([2, 0, 1, 0]);
-        bytes.extend(u64::from(code).to_le_bytes());
+    /// The message with this number.
+    fn message(number: u16) -> Vec<u8> {
+        let mut bytes = (u32::from(number) << 16 | EMERGENCY).to_le_bytes().to_vec();
+        bytes.extend([0x02, 0x01, 0x01, 0x01]);
+        bytes.extend((1_000_000 * u64::from(number)).to_le_bytes());
+        bytes.extend([0x06, 0x00, number as u8, 0x00]);
         bytes
     }
 
-    #[test]
-    fn the_newest_eight_messages_of_a_ring_are_read_newest_first() {
-        let newest = |last: u32, number: u32| -> Vec<u32> { (0..number).map(|before| last - before).collect() };
-        for (room, written, expected) in [
-            (8, 0, newest(0, 0)),
-            (8, 1, newest(1, 1)),
-            (8, 3, newest(3, 3)),
-            (8, 8, newest(8, 8)),
-            (8, 9, newest(9, 8)),
-            (8, 13, newest(13, 8)),
-            (8, 800, newest(800, 8)),
-            (3, 100, newest(100, 3)),
-            (1, 5, newest(5, 1)),
-            (20, 7, newest(7, 7)),
-            (20, 23, newest(23, 8)),
-            (250, 251, newest(251, 8)),
-        ] {
-            assert_eq!(
-                Slave::ring(room, written).codes(),
-                expected,
-                "{written} messages in {room} places"
-            );
+    /// A ring of this room after so many messages, numbered from 1.
+    fn ring(room: u8, written: u16) -> Slaves {
+        let mut entries: BTreeMap<u8, Vec<u8>> = (0..room).map(|place| (FIRST + place, Vec::new())).collect();
+        let place = |number: u16| FIRST + ((number - 1) % u16::from(room)) as u8;
+        for number in 1..=written {
+            entries.insert(place(number), message(number));
         }
+        let newest = if written == 0 { 0 } else { place(written) };
+        entries.extend([(ROOM, vec![room]), (NEWEST, vec![newest])]);
+        Slaves { entries, left: 1_000 }
+    }
+
+    /// The numbers of the messages that are read, newest first.
+    fn numbers(slaves: &mut Slaves) -> Vec<u16> {
+        let messages = read(slaves, 3).expect("the bus is there");
+        messages
+            .iter()
+            .map(|message| message.error_code.expect("an emergency"))
+            .collect()
     }
 
     #[test]
-    fn a_slave_without_history_and_damaged_contents_give_what_can_be_read() {
-        let without = Slave {
-            is_there: false,
-            ..Slave::ring(8, 5)
-        };
-        assert_eq!(without.codes(), Vec::<u32>::new());
-        for (room, newest) in [(0, 6), (8, 5), (8, 14), (8, 255), (255, 5), (8, 0)] {
-            let damaged = Slave {
-                room,
-                newest,
-                ..Slave::ring(8, 5)
-            };
-            assert_eq!(
-                damaged.codes(),
-                Vec::<u32>::new(),
-                "newest message {newest}, {room} places"
-            );
+    fn the_ring_is_read_backwards_from_the_newest_across_its_end() {
+        assert_eq!(numbers(&mut ring(EIGHT, 1)), [1]);
+        assert_eq!(numbers(&mut ring(EIGHT, 3)), [3, 2, 1]);
+        assert_eq!(numbers(&mut ring(EIGHT, 8)), [8, 7, 6, 5, 4, 3, 2, 1]);
+        for written in 9..=40 {
+            let newest_first: Vec<u16> = (written - 7..=written).rev().collect();
+            assert_eq!(numbers(&mut ring(EIGHT, written)), newest_first, "{written} messages");
         }
-        // The room promises more than the slave keeps: the places behind the last one are empty.
-        let promised = Slave {
-            room: 255,
-            ..Slave::ring(8, 3)
+        let told = &read(&mut ring(EIGHT, 11), 3).expect("the bus is there")[0];
+        assert_eq!(
+            (told.time_ns, told.kind, told.parameters.as_str()),
+            (11_000_000, "error", "06000b00")
+        );
+    }
+
+    #[test]
+    fn a_greater_ring_gives_its_newest_eight_and_a_smaller_one_what_it_has() {
+        assert_eq!(numbers(&mut ring(20, 47)), [47, 46, 45, 44, 43, 42, 41, 40]);
+        assert_eq!(numbers(&mut ring(3, 10)), [10, 9, 8]);
+        assert_eq!(numbers(&mut ring(1, 5)), [5]);
+        assert_eq!(numbers(&mut ring(250, 1)), [1], "places without a message");
+    }
+
+    #[test]
+    fn no_message_yet_and_no_history_are_no_messages() {
+        assert!(numbers(&mut ring(EIGHT, 0)).is_empty());
+        assert!(
+            read(&mut ring(EIGHT, 3), 1).expect("the bus is there").is_empty(),
+            "another slave"
+        );
+        let mut without = ring(EIGHT, 3);
+        without.entries.remove(&NEWEST);
+        assert!(numbers(&mut without).is_empty());
+    }
+
+    #[test]
+    fn damaged_contents_end_the_list_and_a_lost_bus_is_an_error() {
+        let with = |changes: &[(u8, Vec<u8>)]| {
+            let mut slaves = ring(EIGHT, 11);
+            slaves.entries.extend(changes.iter().cloned());
+            slaves
         };
-        assert_eq!(promised.codes(), [3, 2, 1]);
-        // A message that is cut off, or without a code, ends what can be read.
-        for damage in [message(4)[..15].to_vec(), Vec::new(), vec![0; 16]] {
-            let mut damaged = Slave::ring(8, 13);
-            damaged.places[10 % 8] = damage;
-            assert_eq!(damaged.codes(), [13, 12]);
+        let (short, none) = (message(9)[..HEAD - 1].to_vec(), vec![0; HEAD]);
+        // Of eleven messages the newest is at 8, the one before at 7, and the tenth newest would be at the end of the ring.
+        for (what, changes, expected) in [
+            ("a message that is cut off", vec![(6, short)], vec![11, 10]),
+            ("a message of zeros", vec![(13, none)], vec![11, 10, 9]),
+            ("a newest message below the ring", vec![(NEWEST, vec![5])], vec![]),
+            ("a newest message behind the ring", vec![(NEWEST, vec![14])], vec![]),
+            ("no room", vec![(ROOM, vec![0])], vec![]),
+            ("an empty number", vec![(ROOM, vec![])], vec![]),
+            (
+                "a ring up to the last sub-index",
+                vec![(ROOM, vec![255])],
+                vec![11, 10, 9],
+            ),
+        ] {
+            assert_eq!(numbers(&mut with(&changes)), expected, "{what}");
         }
-        let mut lost = Slave::ring(8, 5);
-        lost.is_lost = true;
-        assert!(read(&mut lost, 1).is_err());
+        let mut long = with(&[(8, [message(11), vec![0xAA; 700]].concat())]);
+        let told = &read(&mut long, 3).expect("the bus is there")[0];
+        assert_eq!(told.parameters.len(), 2 * (4 + 700), "in pieces");
+        for requests in 0..10 {
+            let mut lost = ring(EIGHT, 11);
+            lost.left = requests;
+            assert!(read(&mut lost, 3).is_err(), "after {requests} requests");
+        }
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The messages of a recording: their ROS 2 definitions and their bytes (CDR, little-endian).
 //!
-//! Foxglove and PlotJuggler decode the messages with the definitions in the file. A sample takes 108 bytes, a quarter
+//! Foxglove and PlotJuggler decode the messages with the definitions in the file. A sample takes 112 bytes, a quarter
 //! of its size as JSON, and its numbers are bit-identical to the firmware's. Fields are named like the columns of
 //! `telemetry.csv`, units last. Every message is one struct; only the primitive types of CDR are used.
 //!
@@ -9,7 +9,7 @@
 use super::bytes::Numbers;
 use super::mcap::Topic;
 use etherpen::application::Mode;
-use etherpen::messages::{Counters, Sample};
+use etherpen::messages::{Counters, IoBits, Sample};
 use etherpen::motion::Pen;
 use etherpen::robots::{AXES, Position};
 
@@ -88,6 +88,9 @@ pub const STATUS: u16 = 3;
 /// Channel of the events.
 pub const EVENT: u16 = 4;
 
+/// Bytes of a sample in recordings from before it had named inputs and outputs.
+const BYTES_WITHOUT_IO: usize = 108;
+
 /// Topic of what only a black box records; a recording has none.
 pub const BLACK_BOX: &str = "/black_box";
 
@@ -133,7 +136,9 @@ const SAMPLE_SCHEMA: &str = concat!(
      float32 q1_ref_rad\nfloat32 q1_rad\nfloat32 v1_ref_rad_s\nfloat32 v1_rad_s\n\
      float32 q2_ref_rad\nfloat32 q2_rad\nfloat32 v2_ref_rad_s\nfloat32 v2_rad_s\n\
      float32 q3_ref_rad\nfloat32 q3_rad\nfloat32 v3_ref_rad_s\nfloat32 v3_rad_s\n\
-     float32 q4_ref_rad\nfloat32 q4_rad\nfloat32 v4_ref_rad_s\nfloat32 v4_rad_s\n"
+     float32 q4_ref_rad\nfloat32 q4_rad\nfloat32 v4_ref_rad_s\nfloat32 v4_rad_s\n\
+     # The named inputs and outputs, from the lowest bit in the order of the configuration: not 0; not exchanged.\n\
+     uint16 io_set\nuint16 io_missing\n"
 );
 
 const STATUS_SCHEMA: &str = concat!(
@@ -170,6 +175,8 @@ impl Moment {
         for axis in axes(sample) {
             axis.into_iter().for_each(|value| cdr.word(value.to_bits()));
         }
+        cdr.short(sample.io.set);
+        cdr.short(sample.io.missing);
     }
 
     /// Reads a message's bytes.
@@ -189,6 +196,13 @@ impl Moment {
                 *column.get_mut(axis)? = f32::from_bits(cdr.word()?);
             }
         }
+        let io = match bytes.len() {
+            BYTES_WITHOUT_IO => IoBits::UNKNOWN,
+            _ => IoBits {
+                set: cdr.short()?,
+                missing: cdr.short()?,
+            },
+        };
         let [setpoint_rad, measured_rad, setpoint_rad_s, measured_rad_s] = columns;
         let sample = Sample {
             t_ms,
@@ -199,6 +213,7 @@ impl Moment {
             measured_rad,
             setpoint_rad_s,
             measured_rad_s,
+            io,
         };
         Some(Self { sample, position })
     }
@@ -436,6 +451,10 @@ mod tests {
                 measured_rad: [1.1, 1.2, 1.3, f32::NAN],
                 setpoint_rad_s: [2.1, 2.2, 2.3, 2.4],
                 measured_rad_s: [3.1, 3.2, 3.3, -0.0],
+                io: IoBits {
+                    set: 0x8001,
+                    missing: 0x0102,
+                },
             },
             position: Position {
                 x_mm: 1.5,
@@ -449,13 +468,23 @@ mod tests {
     fn a_sample_comes_back_bit_by_bit_and_is_as_long_as_the_header_says() {
         let mut bytes = Vec::new();
         moment().encode(&mut bytes);
-        assert_eq!(bytes.len(), 108);
+        assert_eq!(bytes.len(), 112);
         let back = Moment::decode(&bytes).unwrap();
         let bits =
             |moment: &Moment| -> Vec<u32> { axes(&moment.sample).flat_map(|axis| axis.map(f32::to_bits)).collect() };
         assert_eq!(bits(&back), bits(&moment()));
         assert_eq!(back.position, moment().position);
         assert_eq!(format!("{back:?}"), format!("{:?}", moment()));
+    }
+
+    #[test]
+    fn a_sample_from_before_it_had_inputs_is_read_and_half_of_them_is_not() {
+        let mut bytes = Vec::new();
+        moment().encode(&mut bytes);
+        let older = Moment::decode(&bytes[..BYTES_WITHOUT_IO]).expect("a sample");
+        assert_eq!((older.sample.io, older.sample.io.get(0)), (IoBits::UNKNOWN, None));
+        assert_eq!(older.position, moment().position);
+        assert_eq!(Moment::decode(&bytes[..110]), None);
     }
 
     #[test]
@@ -500,7 +529,8 @@ mod tests {
         let mut bytes = Vec::new();
         moment().encode(&mut bytes);
         for length in 0..bytes.len() {
-            assert_eq!(Moment::decode(&bytes[..length]), None, "{length}");
+            let is_older = length == BYTES_WITHOUT_IO;
+            assert_eq!(Moment::decode(&bytes[..length]).is_some(), is_older, "{length}");
             assert_eq!(State::decode(&bytes[..length]), None, "{length}");
             Event::decode(&bytes[..length]);
         }

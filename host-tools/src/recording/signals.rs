@@ -7,7 +7,7 @@
 use super::messages::{Moment, axes};
 use crate::axes::{Motion, Quantity as JointQuantity};
 use etherpen::application::Mode;
-use etherpen::config::Config;
+use etherpen::config::{Config, IoPoint};
 use etherpen::motion::Pen;
 use etherpen::robots::AXES;
 use std::collections::VecDeque;
@@ -30,6 +30,8 @@ enum Quantity {
     Axis(usize, usize, Motion),
     /// Following error of an axis.
     Error(usize, Motion),
+    /// A named input or output, by its place in the configuration.
+    Io(usize),
 }
 
 /// One signal.
@@ -78,7 +80,10 @@ impl Signal {
 
     /// Whether the signal is a state, whose values cannot be interpolated.
     pub fn is_state(&self) -> bool {
-        matches!(self.quantity, Quantity::Mode | Quantity::Stroke | Quantity::Pen)
+        matches!(
+            self.quantity,
+            Quantity::Mode | Quantity::Stroke | Quantity::Pen | Quantity::Io(_)
+        )
     }
 
     /// Whether the signal is the operating mode.
@@ -99,9 +104,9 @@ impl Signal {
         }
     }
 
-    /// Whether the signal is a count or a state, without a fraction.
+    /// Whether the signal is a count or a state, without a fraction and never missing.
     pub fn is_whole(&self) -> bool {
-        self.is_time() || self.is_state()
+        (self.is_time() || self.is_state()) && !matches!(self.quantity, Quantity::Io(_))
     }
 
     /// Whether its values are measured or reference values in single precision.
@@ -131,7 +136,15 @@ pub fn columns(config: &Config) -> Vec<Signal> {
             ));
         }
     }
+    for (place, point) in config.io.iter().enumerate() {
+        signals.push(Signal::new(io_column(point), "", Quantity::Io(place)));
+    }
     signals
+}
+
+/// The column of a named input or output.
+pub fn io_column(point: &IoPoint) -> String {
+    format!("io_{}", point.name)
 }
 
 /// The quantity of a column of an axis.
@@ -258,6 +271,10 @@ impl Evaluator {
                     Value::Real(f64::from(*value) * motion.factor(), decimals)
                 })
             }
+            Quantity::Io(place) => match sample.io.get(place) {
+                Some(set) => Value::Real(f64::from(u8::from(set)), 0),
+                None => Value::Missing,
+            },
             Quantity::Error(axis, motion) => self.error(axis, moment).map_or(Value::Missing, |error| {
                 Value::Real(error * motion.factor(), motion.decimals(JointQuantity::Position))
             }),

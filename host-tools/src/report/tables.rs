@@ -4,12 +4,14 @@
 
 use super::{Row, strokes};
 use crate::axes::{Quantity, axes};
+use crate::recording::signals::io_column;
 use etherpen::config::Config;
 use etherpen::motion::{Pen, Vertex};
 use etherpen::robots::Position;
 use std::io::{self, Write};
 
-/// Writes `telemetry.csv`: the columns of every axis that the machine has, in the axis's unit.
+/// Writes `telemetry.csv`: the columns of every axis that the machine has, in the axis's unit, and of
+/// every named input and output: 1 where it is not 0, empty while it is missing.
 ///
 /// # Errors
 /// Errors of the writer.
@@ -18,6 +20,9 @@ pub fn write_telemetry(config: &Config, rows: &[Row], mut out: impl Write) -> io
     let axes = axes(config);
     for column in axes.iter().flat_map(|axis| axis.columns()) {
         write!(out, ",{column}")?;
+    }
+    for point in &config.io {
+        write!(out, ",{}", io_column(point))?;
     }
     writeln!(out)?;
     for Row {
@@ -43,6 +48,12 @@ pub fn write_telemetry(config: &Config, rows: &[Row], mut out: impl Write) -> io
                 axis.motion.decimals(Quantity::Speed),
             );
             write!(out, ",{q_ref:.of_q$},{q:.of_q$},{v_ref:.of_v$},{v:.of_v$}")?;
+        }
+        for io in 0..config.io.len() {
+            match sample.io.get(io) {
+                Some(set) => write!(out, ",{}", u8::from(set))?,
+                None => write!(out, ",")?,
+            }
         }
         writeln!(out)?;
     }

@@ -9,7 +9,7 @@ import sys
 
 from mcap.reader import NonSeekingReader, make_reader
 
-KINDS = {"uint8": ("B", 1), "uint32": ("I", 4), "float32": ("f", 4), "float64": ("d", 8)}
+KINDS = {"uint8": ("B", 1), "uint16": ("H", 2), "uint32": ("I", 4), "float32": ("f", 4), "float64": ("d", 8)}
 
 
 def fields_of(definition):
@@ -58,13 +58,23 @@ def main(recording, table):
             if fields is None:
                 assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
                 fields, modes = fields_of(schema.data.decode())
-                assert [name for name, _, _ in fields] and {name for name, _, _ in fields} == set(rows[0])
+                points = [name for name in rows[0] if name.startswith("io_")]
+                numbers = {name for name, _, _ in fields} - {"io_set", "io_missing"}
+                assert numbers and numbers == set(rows[0]) - set(points)
             row = rows[count]
+            bits = {}
             for name, form, place in fields:
                 (value,) = struct.unpack_from(form, message.data, place)
+                if name not in numbers:
+                    bits[name] = value
+                    continue
                 expected = row[name].lower() if name == "mode" else row[name]
                 found = text_of(name, value, modes)
                 assert found == expected, f"row {count}, {name}: {found} in the recording, {expected} in the table"
+                values += 1
+            for place, name in enumerate(points):
+                found = "" if bits["io_missing"] >> place & 1 else str(bits["io_set"] >> place & 1)
+                assert found == row[name], f"row {count}, {name}: {found} in the recording, {row[name]} in the table"
                 values += 1
             assert message.log_time == int(row["t_ms"]) * 1_000_000
             assert message.sequence == count

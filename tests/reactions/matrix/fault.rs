@@ -5,11 +5,29 @@ use etherpen::board::PortState;
 use etherpen::messages::Command;
 use host_tools::cell::{Fault, Product, ResolverFault};
 
+/// What a robot has besides its four drives.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Machine {
+    /// Nothing.
+    Usual,
+    /// An alias in each drive that tells it from the others.
+    Aliases,
+    /// Behind the drives a coupler, a terminal with an emergency stop, and one with an output that nothing needs.
+    Terminals,
+}
+
+/// Places of the terminals, from 1.
+pub(super) const STOP_TERMINAL: usize = 6;
+pub(super) const OUTPUT_TERMINAL: usize = 7;
+/// The contacts of the terminal with the emergency stop: closed.
+pub(super) const CLOSED: u8 = 1;
+
 /// A fault of the matrix.
 pub(super) struct Trouble {
     pub(super) name: &'static str,
     /// The drives that it hits, from 1; empty for faults of the bus, the board or the operator's line.
     pub(super) hits: &'static [usize],
+    pub(super) machine: Machine,
     /// How long it lasts, ms.
     pub(super) lasts_ms: u32,
     pub(super) begin: fn(&mut Robot),
@@ -20,6 +38,12 @@ impl Trouble {
     /// This fault as one that hits these drives.
     const fn of_drives(mut self, hits: &'static [usize]) -> Self {
         self.hits = hits;
+        self
+    }
+
+    /// This fault in a robot of this kind.
+    const fn of_machine(mut self, machine: Machine) -> Self {
+        self.machine = machine;
         self
     }
 }
@@ -48,6 +72,7 @@ const fn of_feedback(name: &'static str, begin: fn(&mut Robot)) -> Trouble {
     Trouble {
         name,
         hits: &[DRIVE],
+        machine: Machine::Usual,
         lasts_ms: 3_500,
         begin,
         end: true_again,
@@ -59,6 +84,7 @@ const fn by_itself(name: &'static str, begin: fn(&mut Robot)) -> Trouble {
     Trouble {
         name,
         hits: &[],
+        machine: Machine::Usual,
         lasts_ms: 0,
         begin,
         end: nothing,
@@ -69,6 +95,7 @@ const fn for_a_second(name: &'static str, begin: fn(&mut Robot), end: fn(&mut Ro
     Trouble {
         name,
         hits: &[],
+        machine: Machine::Usual,
         lasts_ms: 1_000,
         begin,
         end,
@@ -84,7 +111,7 @@ fn unplugged(robot: &mut Robot) {
 }
 
 /// The rows.
-pub(super) static FAULTS: [Trouble; 27] = [
+pub(super) static FAULTS: [Trouble; 34] = [
     by_itself("one frame is lost", |robot| robot.inject(Fault::Lose)),
     by_itself("no frames for 20 ms", |robot| robot.inject(Fault::Stall(20))),
     by_itself("no frames for 500 ms", |robot| robot.inject(Fault::Stall(500))),
@@ -110,6 +137,45 @@ pub(super) static FAULTS: [Trouble; 27] = [
         |robot| robot.inject(Fault::Swap(DRIVE, Product::Ax2000)),
     )
     .of_drives(&[DRIVE]),
+    by_itself("a drive replaced by another of its kind", |robot| {
+        robot.inject(Fault::Swap(DRIVE, Product::Ax2000));
+    })
+    .of_drives(&[DRIVE]),
+    for_a_second(
+        "two drives at each other's places, without losing power",
+        |robot| robot.inject(Fault::Recable(DRIVE, THIRD)),
+        |robot| robot.inject(Fault::Recable(DRIVE, THIRD)),
+    )
+    .of_drives(&[DRIVE, THIRD]),
+    for_a_second(
+        "two drives with aliases, off for 200 ms, back at each other's places",
+        |robot| {
+            robot.inject(Fault::Power(DRIVE, 200));
+            robot.inject(Fault::Power(THIRD, 200));
+            robot.inject(Fault::Recable(DRIVE, THIRD));
+        },
+        |robot| robot.inject(Fault::Recable(DRIVE, THIRD)),
+    )
+    .of_drives(&[DRIVE, THIRD])
+    .of_machine(Machine::Aliases),
+    for_a_second(
+        "the emergency stop of a terminal opens",
+        |robot| robot.set_inputs(STOP_TERMINAL, 0),
+        |robot| robot.set_inputs(STOP_TERMINAL, CLOSED),
+    )
+    .of_machine(Machine::Terminals),
+    by_itself("a terminal with an emergency stop without supply for 300 ms", |robot| {
+        robot.inject(Fault::Power(STOP_TERMINAL, 300));
+    })
+    .of_machine(Machine::Terminals),
+    by_itself("a terminal that nothing needs without supply for 300 ms", |robot| {
+        robot.inject(Fault::Power(OUTPUT_TERMINAL, 300));
+    })
+    .of_machine(Machine::Terminals),
+    by_itself("a terminal that nothing needs falls back to SAFEOP", |robot| {
+        robot.inject(Fault::Retreat(OUTPUT_TERMINAL, 0x001B));
+    })
+    .of_machine(Machine::Terminals),
     by_itself("a drive falls back to SAFEOP", |robot| {
         robot.inject(Fault::Retreat(DRIVE, 0x001B));
     })
@@ -165,6 +231,7 @@ pub(super) static FAULTS: [Trouble; 27] = [
     Trouble {
         name: "the trajectory task does not run for 20 ms",
         hits: &[],
+        machine: Machine::Usual,
         lasts_ms: 20,
         begin: |robot| robot.surround(|around| around.trajectory_waits = true),
         end: |robot| robot.surround(|around| around.trajectory_waits = false),

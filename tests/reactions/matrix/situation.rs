@@ -1,14 +1,17 @@
 //! The tables of the matrix: operating modes and speeds, and how a robot is brought there.
 
+use super::fault::{CLOSED, Machine, OUTPUT_TERMINAL, STOP_TERMINAL};
 use crate::STILL_RAD_S;
 use crate::robot::Robot;
 use etherpen::application::{Fault, Mode, StopSource};
-use etherpen::config::Config;
+use etherpen::config::{Config, IoDirection, IoPoint, IoRole};
 use etherpen::messages::{Command, PathVertex};
 use etherpen::motion::Pen;
-use etherpen::robots::Position;
-use host_tools::cell::CellOptions;
+use etherpen::robots::{AXES, Position};
+use host_tools::cell::{CellOptions, PlaceOptions, parse_slaves};
 
+/// Alias of the first drive, where the drives have one.
+const FIRST_ALIAS: u16 = 31;
 /// The line of all motions: from here to its opposite, mm.
 const FROM_MM: [f64; 2] = [-60.0, -75.0];
 /// Heights of the pen on and above the paper, mm.
@@ -115,10 +118,50 @@ fn stroke() -> Vec<PathVertex> {
     ]
 }
 
+/// The cell of such a robot.
+fn cell(machine: Machine) -> CellOptions {
+    let mut options = CellOptions::default();
+    match machine {
+        Machine::Usual => {}
+        Machine::Aliases => {
+            let place = |alias| PlaceOptions {
+                alias,
+                serial: Some(0),
+                ..PlaceOptions::default()
+            };
+            options.places = (FIRST_ALIAS..).take(AXES).map(place).collect();
+        }
+        Machine::Terminals => options.slaves = parse_slaves("ax2000*4,ek1100,el1008,el2004").expect("a chain"),
+    }
+    options
+}
+
 impl Situation {
     /// The configuration, in which the line is driven at the situation's speed.
-    pub(super) fn config(&self) -> Config {
+    pub(super) fn config(&self, machine: Machine) -> Config {
         let mut config = Config::default();
+        match machine {
+            Machine::Usual => {}
+            Machine::Aliases => {
+                for (alias, axis) in (FIRST_ALIAS..).zip(&mut config.axes) {
+                    axis.alias = alias;
+                }
+            }
+            Machine::Terminals => {
+                let point = |name: &str, slave: usize, direction, role| IoPoint {
+                    name: name.try_into().expect("a name"),
+                    slave: slave as u8 - 1,
+                    direction,
+                    bit: Some(0),
+                    role,
+                    ..IoPoint::default()
+                };
+                config.io.extend([
+                    point("stop", STOP_TERMINAL, IoDirection::In, IoRole::EmergencyStop),
+                    point("valve", OUTPUT_TERMINAL, IoDirection::Out, IoRole::None),
+                ]);
+            }
+        }
         if self.travels() {
             config.motion.speed_mm_s = self.speed_mm_s;
             config.motion.travel_speed_mm_s = self.speed_mm_s;
@@ -147,9 +190,12 @@ impl Situation {
     }
 
     /// Brings a robot there.
-    pub(super) fn reach(&self) -> (Robot, Track) {
-        let config = self.config();
-        let mut robot = Robot::of(&config, CellOptions::default());
+    pub(super) fn reach(&self, machine: Machine) -> (Robot, Track) {
+        let config = self.config(machine);
+        let mut robot = Robot::of(&config, cell(machine));
+        if machine == Machine::Terminals {
+            robot.set_inputs(STOP_TERMINAL, CLOSED);
+        }
         match self.mode {
             Mode::Startup => robot.run(300),
             Mode::BusConfiguring => {

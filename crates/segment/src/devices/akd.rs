@@ -1,8 +1,11 @@
 //! A servo drive like Kollmorgen's AKD: what captures show of one, around a CiA 402 drive.
 //!
 //! Its default assignment maps control and status word four times and is refused with AL status code 0x001D: a master
-//! has to write 0x1C12 and 0x1C13. The PDOs 0x1600 to 0x1603 and 0x1A00 to 0x1A03 can be mapped, those from 0x1701 and
-//! 0x1B01 on are fixed. The clock has 32 bits, the processor emulates the information memory, the mailbox speaks
+//! has to write 0x1C12 and 0x1C13. The PDOs 0x1600 to 0x1603 and 0x1A00 to 0x1A03 can be mapped, with at most eight bytes
+//! each (Kollmorgen, flexible mapping); those from 0x1701 and 0x1B01 on are fixed. Cyclic synchronous position takes 0x607A;
+//! 0x60C1 is the target of interpolated position (mode 7), which is not modelled. 0x607A and 0x6064 have the unit that
+//! 0x36E9, 0x6091 and 0x6092 set, 0x6063 counts the encoder's increments. The drive's own window of the following error is
+//! not an object of CiA 402. The clock has 32 bits, the processor emulates the information memory, the mailbox speaks
 //! Ethernet too, and BOOT has the same mailboxes. What captures do not show is that of the generic drive.
 
 use crate::controller::silicon::Silicon;
@@ -47,14 +50,23 @@ const WINDOWS: Windows = Windows {
 };
 /// Modes 8, 9 and 10: bits 7 to 9 of object 0x6502.
 const SUPPORTED_MODES: i64 = 0x0380;
-/// First sub-index of the interpolation data, and the object itself.
+/// Interpolation data: the target of interpolated position.
 const INTERPOLATION: u16 = 0x60C1;
+/// FBUS.PARAM05: options of the fieldbus, the scale of positions among them.
+const BUS_OPTIONS: u16 = 0x36E9;
+/// Most bytes of a PDO whose mapping is written.
+const MAPPED_BYTES_MAX: usize = 8;
 
 const OBJECTS: &[ObjectRow] = &[
     variable(
         0x1008,
         "Device name",
         &[(0, "Device name", VisibleString, READ, Text("AKD"))],
+    ),
+    variable(
+        BUS_OPTIONS,
+        "FBUS.PARAM05",
+        &[(0, "FBUS.PARAM05", Unsigned32, READ_WRITE, Live)],
     ),
     variable(0x603F, "Error code", &[(0, "Error code", Unsigned16, READ | TX, Live)]),
     variable(
@@ -106,6 +118,22 @@ const OBJECTS: &[ObjectRow] = &[
         0x607A,
         "Target position",
         &[(0, "Target position", Integer32, READ_WRITE | RX, Live)],
+    ),
+    record(
+        0x6091,
+        "Gear ratio",
+        &[
+            (1, "Motor revolutions", Unsigned32, READ_WRITE, Live),
+            (2, "Shaft revolutions", Unsigned32, READ_WRITE, Live),
+        ],
+    ),
+    record(
+        0x6092,
+        "Feed constant",
+        &[
+            (1, "Feed", Unsigned32, READ_WRITE, Live),
+            (2, "Shaft revolutions", Unsigned32, READ_WRITE, Live),
+        ],
     ),
     record(
         INTERPOLATION,
@@ -196,24 +224,57 @@ fn process_data() -> ProcessData {
         fixed(0x1B01, &[long(0x6063), status]),
     ];
     let default = |first: u16| [first, first + 1, first + 2, first + 3];
-    ProcessData::new(pdos, &default(0x1600), &default(0x1A00), 4)
+    ProcessData::new(pdos, &default(0x1600), &default(0x1A00), 4).with_mapped_bytes_max(MAPPED_BYTES_MAX)
 }
 
 fn get(servo: &Servo, index: u16, sub: u8) -> Option<i64> {
-    let index = match index {
-        0x6063 => 0x6064,
-        INTERPOLATION => 0x607A,
-        index => index,
-    };
-    generic_drive::get(servo, index, sub)
+    let drive = &servo.drive;
+    let at = usize::from(sub).checked_sub(1);
+    let entry = |pair: [u32; 2]| Some(pair.get(at?).copied()?.into());
+    let number = generic_drive::get;
+    match index {
+        BUS_OPTIONS => Some(drive.units.options.into()),
+        0x6063 => number(servo, 0x6064, 0),
+        0x6064 | 0x607A => Some(drive.in_units(number(servo, index, 0)? as i32).into()),
+        0x6091 => entry(drive.units.gear),
+        0x6092 => entry(drive.units.feed),
+        // Without its mode nothing takes it.
+        INTERPOLATION => Some(0),
+        index => number(servo, index, sub),
+    }
 }
 
 fn set(servo: &mut Servo, index: u16, sub: u8, value: i64) -> Result<(), Abort> {
-    let index = if index == INTERPOLATION { 0x607A } else { index };
-    generic_drive::set(servo, index, sub, value)
+    let units = &mut servo.drive.units;
+    let pair = match index {
+        BUS_OPTIONS => {
+            units.options = u32::try_from(value).map_err(|_| Abort::VALUE)?;
+            return Ok(());
+        }
+        0x6091 => &mut units.gear,
+        0x6092 => &mut units.feed,
+        0x607A | INTERPOLATION => {
+            set_output(servo, index, value);
+            return Ok(());
+        }
+        index => return generic_drive::set(servo, index, sub, value),
+    };
+    let at = usize::from(sub).checked_sub(1);
+    let entry = at.and_then(|at| pair.get_mut(at)).ok_or(Abort::NO_SUB_INDEX)?;
+    *entry = u32::try_from(value)
+        .ok()
+        .filter(|value| *value > 0)
+        .ok_or(Abort::VALUE)?;
+    Ok(())
 }
 
 fn set_output(servo: &mut Servo, index: u16, value: i64) {
-    let index = if index == INTERPOLATION { 0x607A } else { index };
-    generic_drive::set_output(servo, index, value);
+    match index {
+        INTERPOLATION => {}
+        0x607A => {
+            let increments = servo.drive.increments_of(value as i32);
+            generic_drive::set_output(servo, index, increments.into());
+        }
+        index => generic_drive::set_output(servo, index, value),
+    }
 }

@@ -81,3 +81,38 @@ impl History {
         exists
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_ninth_message_takes_the_place_of_the_first_and_the_newest_is_told() {
+        let mut history = History::default();
+        assert_eq!((history.newest(), history.get(4)), (0, Some(0)));
+        assert!(!history.acknowledge(i64::from(FIRST)));
+        for number in 1..=19 {
+            history.step();
+            history.add(number);
+            let place = FIRST + ((number - 1) % 8) as u8;
+            assert_eq!(
+                (history.newest(), history.get(2)),
+                (place, Some(place.into())),
+                "{number}"
+            );
+            let message = history.message(place).unwrap();
+            assert_eq!(message[2..4], number.to_le_bytes());
+            assert_eq!(message[8..16], (1_000_000 * u64::from(number)).to_le_bytes());
+        }
+        let errors: Vec<u8> = (FIRST..FIRST + ROOM)
+            .map(|sub| history.message(sub).unwrap()[2])
+            .collect();
+        assert_eq!(errors, [17, 18, 19, 12, 13, 14, 15, 16]);
+        assert_eq!(history.message(FIRST + ROOM), None);
+        assert_eq!(history.get(4), Some(1));
+        assert!(history.acknowledge(history.newest().into()) && history.get(4) == Some(0));
+        for nothing in [-1, 0, 5, 14, 255, 1_000] {
+            assert!(!history.acknowledge(nothing), "{nothing}");
+        }
+    }
+}

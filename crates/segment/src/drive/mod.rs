@@ -9,6 +9,7 @@ pub(crate) mod homing;
 pub(crate) mod motor;
 mod options;
 pub(crate) mod position_loop;
+pub(crate) mod position_units;
 pub(crate) mod probe;
 pub(crate) mod resolver;
 pub(crate) mod servo;
@@ -19,6 +20,7 @@ pub use options::{DriveOptions, OneTurn};
 use homing::{Homing, Marks, Switch};
 use motor::{Action, Motor};
 use position_loop::PositionLoop;
+use position_units::PositionUnits;
 use probe::Probes;
 use resolver::{Resolver, ResolverFault};
 use std::collections::VecDeque;
@@ -148,6 +150,8 @@ pub(crate) struct Drive {
     mains: bool,
     resolver: Resolver,
     pub(crate) position_loop: PositionLoop,
+    /// Units of the positions on the bus, in a drive that has objects for them.
+    pub(crate) units: PositionUnits,
     pub(crate) homing: Homing,
     pub(crate) probes: Probes,
     /// Whether and how the position counts one motor turn only.
@@ -182,6 +186,7 @@ impl Drive {
             mains: true,
             resolver: Resolver::new(0.0, noise_seed),
             position_loop: PositionLoop::new(options.increments_per_revolution),
+            units: PositionUnits::default(),
             homing: Homing::new(options.increments_per_revolution),
             one_turn: None,
             home_shift: 0,
@@ -216,6 +221,16 @@ impl Drive {
         }
     }
 
+    /// A position of the encoder in the units of the bus.
+    pub(crate) fn in_units(&self, increments: i32) -> i32 {
+        self.units.shown(increments, self.options.increments_per_revolution)
+    }
+
+    /// The encoder's increments for a position in the units of the bus.
+    pub(crate) fn increments_of(&self, position: i32) -> i32 {
+        self.units.increments(position, self.options.increments_per_revolution)
+    }
+
     /// Resets everything but the motor to its state after power-up.
     pub(crate) fn power_up(&mut self) {
         self.state = DriveState::SwitchOnDisabled;
@@ -228,6 +243,7 @@ impl Drive {
         self.one_turn
             .into_iter()
             .for_each(|one_turn| self.count_one_turn(one_turn));
+        self.units = PositionUnits::default();
         self.homing = Homing::new(self.options.increments_per_revolution);
         self.home_shift = 0;
         self.probes = Probes::default();

@@ -138,15 +138,18 @@ pub enum Product {
     Ax2000,
     /// Generic CiA 402 servo drive.
     Cia402,
+    /// Servo drive AKD.
+    Akd,
     /// Bus coupler.
     Ek1100,
 }
 
 impl Product {
     /// Names in the script language.
-    pub(crate) const NAMES: [(&str, Self); 3] = [
+    pub(crate) const NAMES: [(&str, Self); 4] = [
         ("ax2000", Self::Ax2000),
         ("cia402", Self::Cia402),
+        ("akd", Self::Akd),
         ("ek1100", Self::Ek1100),
     ];
 }

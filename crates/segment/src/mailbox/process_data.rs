@@ -90,6 +90,8 @@ pub(crate) struct ProcessData {
     outputs: Assignment,
     inputs: Assignment,
     assigned_max: usize,
+    /// Most bytes of a PDO whose mapping is written.
+    mapped_bytes_max: usize,
 }
 
 impl ProcessData {
@@ -115,6 +117,15 @@ impl ProcessData {
             outputs: assignment(outputs),
             inputs: assignment(inputs),
             assigned_max,
+            mapped_bytes_max: Self::BYTES_MAX,
+        }
+    }
+
+    /// These process data in a device that maps at most this many bytes into one PDO.
+    pub(crate) fn with_mapped_bytes_max(self, mapped_bytes_max: usize) -> Self {
+        Self {
+            mapped_bytes_max,
+            ..self
         }
     }
 
@@ -312,6 +323,7 @@ impl ProcessData {
 
     fn set_mapped_count(&mut self, index: u16, number: i64) -> Result<(), Abort> {
         let count = usize::try_from(number).map_err(|_| Abort::VALUE)?;
+        let bytes_max = self.mapped_bytes_max;
         let pdo = self
             .pdos
             .iter_mut()
@@ -326,7 +338,7 @@ impl ProcessData {
             .take(count)
             .map(|entry| usize::from(entry.bits))
             .sum();
-        if bits > 8 * Self::BYTES_MAX {
+        if bits > 8 * bytes_max {
             return Err(Abort::MAPPING_LENGTH);
         }
         pdo.count = count;

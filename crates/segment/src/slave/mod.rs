@@ -170,6 +170,7 @@ impl Slave {
         let kind = match product {
             Product::Ax2000 => SlaveKind::Ax2000,
             Product::Cia402 => SlaveKind::Cia402,
+            Product::Akd => SlaveKind::Akd,
             Product::Ek1100 => SlaveKind::Ek1100,
         };
         let mut servo = self.device.servo().cloned();

@@ -147,6 +147,27 @@ fn the_default_assignment_of_an_akd_is_refused_and_a_fixed_one_is_not() {
 }
 
 #[test]
+fn an_akd_maps_eight_bytes_into_a_pdo_and_no_more() {
+    let mut rig = akd();
+    let map = |rig: &mut TestRig, entries: &[[u8; 4]]| {
+        let clear = sdo(rig, 1, [0x2F, 0x00, 0x16, 0, 0, 0, 0, 0]);
+        assert_eq!(clear[0], 0x60);
+        for (sub, [a, b, c, d]) in (1..).zip(entries) {
+            assert_eq!(sdo(rig, 1 + sub, [0x23, 0x00, 0x16, sub, *a, *b, *c, *d])[0], 0x60);
+        }
+        sdo(rig, 5, [0x2F, 0x00, 0x16, 0, entries.len() as u8, 0, 0, 0])
+    };
+    let (control, target, velocity) = ([0x10, 0, 0x40, 0x60], [0x20, 0, 0x7A, 0x60], [0x20, 0, 0xFF, 0x60]);
+    assert_eq!(map(&mut rig, &[control, target])[0], 0x60, "six bytes");
+    let answer = map(&mut rig, &[control, target, velocity]);
+    assert_eq!(
+        (answer[0], &answer[4..]),
+        (0x80, &[0x42, 0, 0x04, 0x06][..]),
+        "ten bytes"
+    );
+}
+
+#[test]
 fn an_akd_answers_a_set_address_and_announces_it_16_ms_later() {
     let mut rig = akd();
     let mut message = vec![4, 0, 0, 0, 0, 2 | 1 << 4, 2, 0x01, 0, 0];

@@ -119,7 +119,7 @@ impl<'a, 'q> Player<'a, 'q> {
         let millisecond = Millisecond {
             inputs: self.inputs(now),
             interlock: now.interlock,
-            late,
+            late: late.into(),
         };
         let report = self.control.step(&millisecond);
         if index + 1 == SETTLED_MS && self.comparison.has_only_replayed(now, &report) {

@@ -314,7 +314,7 @@ pub(super) fn bring_up_step(step: u8) -> &'static str {
 /// abort code.
 pub(super) fn bring_up_code(step: u8, code: u32) -> (String, &'static str) {
     const SUPPLY: &str = "check its supply and cable";
-    const SILENT: [(Step, &str, &str); 4] = [
+    const SILENT: [(Step, &str, &str); 5] = [
         (
             Step::Identify,
             "its information memory (SII) stayed busy or is not the one that was there before",
@@ -324,6 +324,12 @@ pub(super) fn bring_up_code(step: u8, code: u32) -> (String, &'static str) {
             Step::Locate,
             "it is not where it was before",
             "check its supply and the order of the cables",
+        ),
+        (
+            Step::Objects,
+            "it did not answer, or does not take what the configuration wants of it",
+            "check its supply, and the mode of its axis in etherpen.toml: an AX2000 has no mode \"position\" here, an AKD \
+             no mode \"torque\"",
         ),
         (
             Step::Watch,

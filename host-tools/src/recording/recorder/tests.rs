@@ -4,6 +4,8 @@ use super::*;
 use crate::random::Lcg;
 use crate::recording::signals::columns;
 use crate::report::{rows, write_telemetry};
+use etherpen::config::IoPoint;
+use etherpen::messages::IoBits;
 use etherpen::robots::AXES;
 use std::sync::{Arc, Mutex};
 
@@ -22,6 +24,10 @@ fn sample(t_ms: u32) -> Sample {
         measured_rad: std::array::from_fn(|k| 0.3 + 0.1 * (t - 0.001 + k as f32).sin() + 1e-5),
         setpoint_rad_s: [0.1 * t.cos(); AXES],
         measured_rad_s: [0.1 * t.cos() + 1e-4; AXES],
+        io: IoBits {
+            set: (t_ms / 3) as u16,
+            missing: (t_ms / 1_000) as u16,
+        },
     }
 }
 
@@ -87,7 +93,16 @@ impl Storage for Disk {
 
 #[test]
 fn a_recording_as_csv_is_the_telemetry_table_byte_by_byte() {
-    let config = Config::default();
+    let mut config = Config::default();
+    for (name, bit) in [("door", 0), ("pen", 1), ("valve", 2)] {
+        let point = IoPoint {
+            name: name.try_into().unwrap(),
+            slave: 5,
+            bit: Some(bit),
+            ..IoPoint::default()
+        };
+        config.io.push(point).unwrap();
+    }
     let samples: Vec<Sample> = (5..9_000).map(sample).collect();
     let mut recorder = Recorder::new(Vec::new(), &about(&config)).unwrap();
     samples.chunks(4).for_each(|four| recorder.samples(0, four).unwrap());
@@ -104,6 +119,17 @@ fn a_recording_as_csv_is_the_telemetry_table_byte_by_byte() {
     let exported = crate::recording::export::write_csv(&mut playback, &columns(&config), &mut csv).unwrap();
     assert_eq!(exported.rows, 8_995);
     assert!(csv == expected, "the tables differ");
+    let text = String::from_utf8(csv).unwrap();
+    let (heading, rows) = text.split_once('\n').unwrap();
+    assert!(heading.ends_with(",v4_rad_s,io_door,io_pen,io_valve"), "{heading}");
+    for row in rows.lines() {
+        let t_ms: u32 = row.split(',').next().unwrap().parse().unwrap();
+        let of = |bit: u32| match ((t_ms / 1_000) >> bit) & 1 {
+            0 => (((t_ms / 3) >> bit) & 1).to_string(),
+            _ => String::new(),
+        };
+        assert!(row.ends_with(&format!(",{},{},{}", of(0), of(1), of(2))), "{row}");
+    }
 }
 
 #[test]
