@@ -140,9 +140,10 @@ pub enum IoRole {
 }
 
 impl IoRole {
-    /// Whether the drives need this input to have power; of a limit switch only that it arrives.
+    /// Whether the drives need this point to have power: of a limit switch only that it arrives, of the pen's output that
+    /// its terminal confirms it.
     pub const fn stops(self) -> bool {
-        matches!(self, Self::EmergencyStop | Self::Door | Self::Limit)
+        matches!(self, Self::EmergencyStop | Self::Door | Self::Limit | Self::Pen)
     }
 
     /// Whether the controller sets this output by itself.
@@ -152,7 +153,7 @@ impl IoRole {
 
     /// Whether the failure of the point's terminal is a fault.
     pub const fn is_needed(self) -> bool {
-        self.stops() || matches!(self, Self::Home | Self::Pen)
+        self.stops() || matches!(self, Self::Home)
     }
 
     /// Name as used in `etherpen.toml`.

@@ -113,7 +113,7 @@ pub struct Io {
     plan: Option<u32>,
     /// Inputs as last read, outputs as requested.
     values: [u32; IO_MAX],
-    /// Milliseconds since an input last arrived.
+    /// Milliseconds since an input last arrived, or an output was last confirmed.
     missing_ms: [u16; IO_MAX],
     /// Inputs that were open since they arrive, one bit each.
     was_open: u16,
@@ -210,7 +210,8 @@ impl Io {
         self.points.iter().any(spares)
     }
 
-    /// Takes this millisecond's inputs. An input counts as missing after `missing_max_ms` without it.
+    /// Takes this millisecond's inputs. An input counts as missing after `missing_max_ms` without it, an output after as long
+    /// without its terminal's confirmation.
     #[inline]
     pub fn read(&mut self, group: &impl IoGroup, missing_max_ms: u16) {
         if !self.points.is_empty() {
@@ -237,6 +238,15 @@ impl Io {
                 continue;
             };
             if point.direction == IoDirection::Out {
+                *missing_ms = match group.terminal_confirms(point.slave.into()) {
+                    true => 0,
+                    false => missing_ms.saturating_add(1),
+                };
+                // One lost telegram is never a fault.
+                if *missing_ms > missing_max_ms.max(1) {
+                    report.miss(io, point, InputCause::Missing);
+                    continue;
+                }
                 report.valid |= bit;
                 report.set |= if *value != 0 { bit } else { 0 };
                 continue;

@@ -2,7 +2,7 @@
 
 use crate::robot::Robot;
 use crate::{assert_described_standstill, assert_recovers_with};
-use etherpen::application::{Fault, Mode};
+use etherpen::application::{Fault, InputCause, Mode};
 use etherpen::config::{Config, IoDirection, IoPoint, IoRole, PenLift, PenLiftKind};
 use etherpen::messages::{Command, PathVertex};
 use etherpen::motion::Pen;
@@ -208,6 +208,49 @@ pub(crate) fn a_terminal_that_fails_while_its_pen_draws_is_a_fault_and_a_held_dr
             Fault::SlaveLost { slave: 2 } | Fault::SlaveState { .. } | Fault::Blind { .. } | Fault::StopInput { .. }
         )
     });
+    // Its outputs are lost, though everything else of the bus is well: while it draws, and before.
+    let is_unconfirmed = |fault: &Fault| {
+        matches!(
+            fault,
+            Fault::StopInput {
+                role: IoRole::Pen,
+                cause: InputCause::Missing,
+                ..
+            }
+        )
+    };
+    for speed_mm_s in [20.0, 200.0] {
+        let mut robot = drawing(speed_mm_s);
+        robot.inject(CellFault::Deaf(TERMINAL, 500));
+        let begun_ms = robot.now_ms();
+        robot.run_until("the fault is latched", |robot| robot.fault().is_some());
+        let took_ms = robot.now_ms() - begun_ms;
+        assert!(
+            took_ms <= u64::from(robot.config().bus.blind_max_ms) + 4,
+            "{took_ms} ms"
+        );
+        assert_described_standstill(&mut robot, is_unconfirmed);
+        robot.run(1_000);
+        assert_recovers_with(&mut robot, |_| {});
+        let ink = robot.ink().len();
+        robot.draw(path());
+        robot.run_until("the path is executed", Robot::has_drawn);
+        assert_eq!((robot.fault(), robot.ink().len()), (None, ink + 2), "it draws again");
+    }
+    let mut robot = Robot::of(&corexy(), CellOptions::default());
+    robot.configure(&corexy());
+    robot.wait_for(Mode::DrivesOff);
+    robot.inject(CellFault::Deaf(TERMINAL, 3_000));
+    robot.run(100);
+    robot.command(Command::Home).unwrap();
+    robot.run(100);
+    let is_enabled = robot.command(Command::Enable).is_ok();
+    robot.run(500);
+    assert_ne!(
+        robot.mode(),
+        Mode::Idle,
+        "a pen that nobody moves keeps the drives off ({is_enabled})"
+    );
     let mut robot = drawing(200.0);
     robot.command(Command::Hold).unwrap();
     robot.run_until("held", |robot| {

@@ -159,6 +159,11 @@ where
     }
 
     #[inline]
+    fn terminal_confirms(&self, slave: usize) -> bool {
+        !self.exchange.unconfirmed().contains(slave)
+    }
+
+    #[inline]
     fn set_terminal_value(&mut self, place: &ValuePlace<u32>, value: u32) {
         // A place of another plan is found anew in the next millisecond.
         let _ = self.exchange.set(place, value);

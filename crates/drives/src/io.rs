@@ -112,6 +112,12 @@ pub trait IoGroup {
         None
     }
 
+    /// Whether the terminal at a place in the chain has confirmed the outputs of the last trigger, or has none. A group
+    /// without a wire confirms them at once.
+    fn terminal_confirms(&self, _slave: usize) -> bool {
+        true
+    }
+
     /// Sets the value at a place of a terminal's outputs for the next trigger.
     fn set_terminal_value(&mut self, _place: &Place<u32>, _value: u32) {}
 }

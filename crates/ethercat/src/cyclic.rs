@@ -303,7 +303,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTH
         telegram.bytes_mut(start, length).unwrap_or(&mut [])
     }
 
-    /// Members in operation that have not confirmed the last output telegram that carries their outputs: its reply has
+    /// Members and terminals in operation that have not confirmed the last output telegram that carries their outputs: its reply has
     /// not come, or not with the expected working counter. None when outputs travel with the inputs.
     #[inline]
     pub fn unconfirmed(&self) -> SlaveSet {
@@ -318,7 +318,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTH
         })
     }
 
-    /// This cycle's time of the reference clock, ns, if all participating slaves received it; only the low 32 bits if
+    /// This cycle's time of the reference clock, ns, if that has written it; only the low 32 bits if
     /// the clocks are 32 bits wide.
     pub fn clock_ns(&self) -> Option<u64> {
         self.clock_ns

@@ -191,7 +191,7 @@ pub(super) struct Taken<M> {
     pub(super) answers: Answers<M>,
     /// The slaves' AL status.
     pub(super) al: AlStatus,
-    /// Time of the reference clock, ns, if the frame distributes it and all slaves took it.
+    /// Time of the reference clock, ns, if the frame distributes it and the reference wrote it.
     pub(super) clock_ns: Option<u64>,
 }
 

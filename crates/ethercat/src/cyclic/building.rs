@@ -96,7 +96,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTHER: 
     /// Adds a slave's datagram to a telegram after control: the number of the frame, and whether it is the slave's only
     /// datagram.
     fn push_second(&mut self, slave: u8, share: &CyclicSlave<F>, window: &Window, (frame, is_only): (usize, bool)) {
-        let is_member = share.watched && share.role.is_some();
+        let is_member = share.watched && (share.role.is_some() || self.plan.terminals.contains(slave.into()));
         let bit = |is_set| if is_set { 1 << (slave & 31) } else { 0 };
         let data = match frame.checked_sub(1) {
             None => {

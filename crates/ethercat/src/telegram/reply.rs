@@ -140,7 +140,9 @@ impl<const SLAVES: usize, M: Places> Telegram<SLAVES, M> {
         (al, low & NO_POSITION | high)
     }
 
-    /// The time of the reference clock, ns, if all slaves took it, and the bits in which its header differs.
+    /// The time of the reference clock, ns, and the bits in which its header differs. The reference has written its time if
+    /// as many slaves took part as have clocks, or if the time is not the one that was sent: a slave whose clock nobody
+    /// counts on, or one that is away, does not hide it.
     #[inline(always)]
     fn take_clock(&self, payload: &[u8]) -> (Option<u64>, u32) {
         let Some(clock) = chunk::<{ DATAGRAM_OVERHEAD + 8 }>(payload, self.common.wide_clock.into()) else {
@@ -151,12 +153,15 @@ impl<const SLAVES: usize, M: Places> Telegram<SLAVES, M> {
         };
         let (low, high) = self.common.clock_header.differences(first(clock));
         let [.., a, b, c, d, e, f, g, h, slaves_low, slaves_high] = *clock;
-        let is_whole = u16::from_le_bytes([slaves_low, slaves_high]) == self.common.clock_slaves;
+        let slaves = u16::from_le_bytes([slaves_low, slaves_high]);
         let time_ns = u64::from_le_bytes([a, b, c, d, e, f, g, h]);
-        (is_whole.then_some(time_ns), low | high)
+        let sent = chunk::<8>(&self.frame.0, self.common.wide_time.into());
+        let is_new = || slaves != 0 && sent.is_some_and(|sent| u64::from_le_bytes(*sent) != time_ns);
+        let is_told = slaves == self.common.clock_slaves || is_new();
+        (is_told.then_some(time_ns), low | high)
     }
 
-    /// The time of a reference clock of 32 bits, ns, if all slaves took it, and the bits in which its header differs.
+    /// The time of a reference clock of 32 bits, ns, as [`Self::take_clock`] does.
     #[inline(never)]
     fn take_narrow_clock(&self, payload: &[u8], place: u16) -> (Option<u64>, u32) {
         let Some(clock) = chunk::<{ DATAGRAM_OVERHEAD + 4 }>(payload, place.into()) else {
@@ -164,9 +169,13 @@ impl<const SLAVES: usize, M: Places> Telegram<SLAVES, M> {
         };
         let (low, high) = self.common.clock_header.differences(first(clock));
         let [.., a, b, c, d, slaves_low, slaves_high] = *clock;
-        let is_whole = u16::from_le_bytes([slaves_low, slaves_high]) == self.common.clock_slaves;
+        let slaves = u16::from_le_bytes([slaves_low, slaves_high]);
         let time_ns = u32::from_le_bytes([a, b, c, d]);
-        (is_whole.then_some(time_ns.into()), low | high)
+        let data = self.start() + usize::from(place) + DATAGRAM_HEADER_LEN;
+        let sent = chunk::<4>(&self.frame.0, data);
+        let is_new = || slaves != 0 && sent.is_some_and(|sent| u32::from_le_bytes(*sent) != time_ns);
+        let is_told = slaves == self.common.clock_slaves || is_new();
+        (is_told.then_some(time_ns.into()), low | high)
     }
 
     /// Finds out which slaves have answered, when not all have; `slaves` is the working counter of the AL status.

@@ -183,10 +183,15 @@ pub fn fault(fault: &Fault) -> String {
             let what = match role {
                 IoRole::Door => "the door",
                 IoRole::Limit => "the limit switch",
+                IoRole::Pen => "the pen",
                 _ => "the emergency stop",
             };
             match cause {
                 InputCause::Open => format!("{what} is open (io {}); close it, then acknowledge", one(io)),
+                InputCause::Missing if role == IoRole::Pen => format!(
+                    "the terminal does not confirm the output of {what} (io {}); check its supply and cable, then acknowledge",
+                    one(io)
+                ),
                 InputCause::Missing => format!(
                     "the input of {what} is missing (io {}); check its terminal's supply and cable, then acknowledge",
                     one(io)
