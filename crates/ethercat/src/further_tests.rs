@@ -154,7 +154,7 @@ fn plan(random: &mut Random, slaves: usize, longest: u32, exchange: ExchangeKind
             output_address: start + u32::from(input_length),
             output_length,
             watched: true,
-            role: (random.next() % 2 == 0).then_some(Role {
+            role: random.next().is_multiple_of(2).then_some(Role {
                 member: number as u8,
                 device: (),
                 layout: (),
