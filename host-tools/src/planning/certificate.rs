@@ -267,8 +267,8 @@ mod tests {
                 .all(|used| used.axis != Some(1) || used.limit_of != "angle")
         );
         // A rotary axis keeps its radians.
-        let scara = robots::Kind::Scara;
-        assert_eq!(shown(&Quantity::Angle(1), scara), ("angle", "rad", 1.0));
-        assert_eq!(shown(&Quantity::JointJump(3), scara), ("joint_jump", "mm/s2", 100.0));
+        let mixed = robots::Kind::Scara;
+        assert_eq!(shown(&Quantity::Angle(1), mixed), ("angle", "rad", 1.0));
+        assert_eq!(shown(&Quantity::JointJump(3), mixed), ("joint_jump", "mm/s2", 100.0));
     }
 }

@@ -102,18 +102,18 @@ mod tests {
             slope: [0.008727, -0.001],
             ..Paper::default()
         };
-        let gantry = crate::settings::machines::MACHINES[1].text;
+        let bundled = crate::settings::machines::MACHINES[1].text;
         for (text, expected) in [
             (
-                gantry.to_owned(),
-                gantry.replace(
+                bundled.to_owned(),
+                bundled.replace(
                     "pen_down_z_mm = -30.0\npen_lift_mm = 3.0\n",
                     "pen_down_z_mm = -29.125\npen_lift_mm = 3.0\nslope = [0.008727, -0.001]\n",
                 ),
             ),
             (
-                gantry.replace("-30.0\n", "-30.0  # as measured\nslope = [0.0, 0.0]  # level\n"),
-                gantry.replace(
+                bundled.replace("-30.0\n", "-30.0  # as measured\nslope = [0.0, 0.0]  # level\n"),
+                bundled.replace(
                     "-30.0\n",
                     "-29.125  # as measured\nslope = [0.008727, -0.001]  # level\n",
                 ),

@@ -50,7 +50,7 @@ fn drawing(sheet_mm: [f64; 2]) -> Drawing {
     let corners = [[left, top], [right, top], [right, bottom], [left, bottom]];
     let mut strokes = vec![
         [&corners[..], &corners[..1]].concat(),
-        vec![corners[0], corners[2]],
+        vec![corners[2], corners[0]],
         vec![corners[1], corners[3]],
     ];
     strokes.extend(corners.map(|[x, y]| vec![[x, 0.5 * (y + 0.5 * bottom)], [0.5 * (x + 0.5 * right), y]]));
@@ -161,8 +161,8 @@ fn given_touches_are_stored_with_the_comments_kept_and_shown_again() {
         "{stdout}"
     );
     // Not stored, it is only shown.
-    let (status, stdout, _) =
-        run(etherpen(&folder).args(["paper", "--touch", "230,150,-30", "400,150,-30", "320,330,-29.9"]));
+    let places = ["--touch=230,150,-30", "--touch=400,150,-30", "--touch=320,330,-29.9"];
+    let (status, stdout, _) = run(etherpen(&folder).arg("paper").args(places));
     assert_eq!(status, Some(0));
     assert!(
         stdout.contains("Not stored") && stdout.contains("slope = ["),
@@ -183,8 +183,11 @@ fn touches_that_give_no_sheet_and_machines_that_cannot_follow_one_are_refused() 
             "{words:?}: {stderr}"
         );
     };
-    let store = ["--touch", "--store"];
-    let with = |places: &[&'static str]| [&store[..], places].concat();
+    let with = |places: &[&'static str]| {
+        let mut words = vec!["--store"];
+        words.extend(places.iter().flat_map(|place| ["--touch", place]));
+        words
+    };
     refused(&with(&["230,150,-30", "400,150,-30"]), &["3 touches", "there are 2"]);
     refused(
         &with(&["230,150,-30", "400,150,-30", "405,150,-30"]),
@@ -200,7 +203,8 @@ fn touches_that_give_no_sheet_and_machines_that_cannot_follow_one_are_refused() 
         &["the sheet cannot lie there"],
     );
     refused(&["--touch", "230,150"], &["three finite numbers"]);
-    refused(&["230,150,-30"], &["--touch"]);
+    refused(&["--touch=-230,150,x"], &["three finite numbers"]);
+    refused(&["--store"], &["--touch"]);
     refused(&["--touch", "--press", "9"], &["0 to 5"]);
     assert_eq!(fs::read_to_string(&file).expect("the file"), GANTRY);
     refused(

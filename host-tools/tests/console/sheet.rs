@@ -54,9 +54,9 @@ fn an_operator_jogs_down_presses_touch_at_three_places_and_stores_the_tilt() {
         mode(browser, "Idle");
         browser.press("#touch");
         browser.until(&format!("etherpen.link.state.sheet.touches === {number}"));
-        let up = json!({"do": "move", "position_mm": [x, y, -840.0]});
+        let up = json!({"do": "move", "position_mm": [x, y, -810.0]});
         browser.value(&format!("etherpen.link.command({up}), 0"));
-        browser.until("etherpen.link.state.pose.measured_mm[2] > -840.5");
+        browser.until("etherpen.link.state.pose.measured_mm[2] > -810.5");
         mode(browser, "Idle");
     }
     browser.until("/3 touches: tilt 0\\.[0-9]+°/.test(document.getElementById('sheet-text').textContent)");
@@ -65,7 +65,7 @@ fn an_operator_jogs_down_presses_touch_at_three_places_and_stores_the_tilt() {
     browser.press("#touch-undo");
     browser.until("etherpen.link.state.sheet.touches === 2");
     assert_eq!(browser.value("document.getElementById('touch-store').disabled"), true);
-    // The pen is where the last touch was, 10 mm above it: too steep a sheet.
+    // The pen is where the last touch was, far above it: too steep a sheet.
     browser.press("#touch");
     browser.until("document.getElementById('sheet-text').textContent.includes('degrees')");
     browser.press("#touch-undo");
