@@ -235,8 +235,8 @@ mod tests {
         assert_eq!(fit(&near), Err(expected));
         let line = on([0.0; 2], &[[0.0, 0.0], [50.0, 50.0], [100.0, 110.0]]);
         assert!(matches!(fit(&line), Err(TouchError::Line { width_mm }) if width_mm < 10.0));
-        let steep = on([0.11, 0.0], &CORNERS);
-        assert!(matches!(fit(&steep), Err(TouchError::Steep { tilt_deg }) if (tilt_deg - 6.28).abs() < 0.01));
+        let steep = on([0.12, 0.0], &CORNERS);
+        assert!(matches!(fit(&steep), Err(TouchError::Steep { tilt_deg }) if (tilt_deg - 6.84).abs() < 0.01));
         let broken = [[0.0, 0.0, f64::NAN], [100.0, 0.0, 0.0], [0.0, 100.0, 0.0]];
         assert!(fit(&broken).is_err() && fit(&[[f64::NAN; 3]; 3]).is_err());
     }

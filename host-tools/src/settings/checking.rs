@@ -333,7 +333,7 @@ impl Checks<'_> {
         let Ok(area) = WorkArea::new(&self.config.motion_settings()) else {
             return;
         };
-        if let Some(text) = unreached(&self.config, &area) {
+        if let Some(text) = unreached(self.config, &area) {
             found.push(Finding {
                 gravity: Gravity::Error,
                 line: self.places.of("paper", &["centre_mm", "size_mm"]),
