@@ -424,6 +424,19 @@ mod tests {
     }
 
     #[test]
+    fn a_slope_at_its_bounds_stays_within_them_in_a_message() {
+        let mut config = Config::default();
+        config.paper.slope = [0.0071, -Paper::SLOPE_MAX];
+        let mut buffer = [0; CONFIG_BYTES_MAX];
+        let bytes = postcard::to_slice(&config, &mut buffer).unwrap();
+        let received: Config = postcard::from_bytes(bytes).unwrap();
+        assert_eq!((received.check(), received.hash()), (Ok(()), config.hash()));
+        assert!((received.paper.slope[0] - 0.0071).abs() < 1.0e-9);
+        config.pen.kind = PenLiftKind::Output;
+        assert_eq!(config.check().unwrap_err().field.name(), "paper.slope[0]");
+    }
+
+    #[test]
     fn a_bound_of_another_kind_is_named_as_that_kind_names_it() {
         let mut config = Config {
             geometry: Geometry::Scara(ScaraGeometry {
