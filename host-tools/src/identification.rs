@@ -156,7 +156,9 @@ pub fn test_config(config: &Config) -> Config {
 pub fn test_path(config: &Config) -> Vec<PathVertex> {
     let paper = &config.paper;
     let [x_mm, y_mm] = paper.centre_mm;
-    let low_mm = paper.pen_down_z_mm + paper.pen_lift_mm;
+    // The highest place of the sheet under the circles.
+    let rise_mm = RADIUS_MM * paper.slope.iter().map(|slope| slope.abs()).sum::<f64>();
+    let low_mm = paper.pen_down_z_mm + paper.pen_lift_mm + rise_mm;
     // A low ceiling makes the motion flatter.
     let clearance_mm = CLEARANCE_MM.min(0.5 * (config.work_area.z_high_mm - low_mm)).max(0.0);
     let (middle_mm, wave_mm) = (low_mm + clearance_mm, WAVE_MM.min(clearance_mm));

@@ -5,7 +5,8 @@
 //! A module imports modules of lower layers only; the test of [`layers`] reads this list and the sources.
 //!
 //! 1. `error`, `hash`, `random`, `terminal`, `layers`, `axes`: what every module may use
-//! 2. `output_file`, `setup`, `probe`, `firmware_image`, `matching`, `kinematics`, `planning`, `identification`: files,
+//! 2. `output_file`, `setup`, `probe`, `firmware_image`, `matching`, `kinematics`, `planning`, `identification`,
+//!    `touches`: files,
 //!    programs and computations
 //! 3. `drawing`, `link`, `cell`, `emulator`, `master`, `probe::flash`: strokes of a file; the host's end of the link to
 //!    the firmware; the virtual cell; firmware in the emulator; an EtherCAT master in this process; writing firmware to a
@@ -62,3 +63,4 @@ pub mod segment;
 pub mod settings;
 pub mod setup;
 pub mod simulation;
+pub mod touches;

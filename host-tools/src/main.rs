@@ -4,7 +4,7 @@
 use clap::{Command, CommandFactory, FromArgMatches, Parser};
 use host_tools::commands::{
     bench, blackbox, bus, campaign, configuration, console, demo, doctor, draw, emulate, flash, identify, kinematics,
-    operate, order, plan, preview, record, recorded, reference, segment, shell, simulate, vectorize, verify,
+    operate, order, paper, plan, preview, record, recorded, reference, segment, shell, simulate, vectorize, verify,
 };
 use host_tools::drawing::preparation::confined;
 use host_tools::eprintln;
@@ -60,6 +60,8 @@ enum Subcommand {
     Reference(reference::Arguments),
     /// Measure the drives' delay and gain with a test motion, and store the resulting controller values.
     Identify(identify::Arguments),
+    /// Show where the sheet lies, or find its height and tilt from places where the pen touches it, and store them.
+    Paper(paper::Arguments),
     /// Record everything the firmware sends into an MCAP file, for export, plot, stats, Foxglove or PlotJuggler.
     Record(record::Arguments),
     /// Summarise a recording: duration, gaps, extremes of each signal, following errors, modes.
@@ -130,6 +132,7 @@ fn main() -> ExitCode {
         Subcommand::Preview(arguments) => preview::run(&arguments),
         Subcommand::Man(arguments) => shell::man(&arguments, command_line()),
         Subcommand::Operate(command) => operate::run(&command),
+        Subcommand::Paper(arguments) => paper::run(&arguments),
         Subcommand::Plan(arguments) => plan::run(&arguments),
         Subcommand::Identify(arguments) => identify::run(&arguments),
         Subcommand::Reference(arguments) => reference::run(&arguments),

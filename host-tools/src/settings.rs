@@ -9,6 +9,7 @@
 pub mod checking;
 pub mod machines;
 pub mod reading;
+pub mod sheet;
 pub mod starting;
 
 use crate::axes::as_written;
@@ -179,6 +180,7 @@ fn stored(axis: &Axis) -> [f64; STORED.len()] {
 /// A configuration without the values that can be stored, to compare the others.
 fn others(config: &Config) -> Config {
     let mut others = config.clone();
+    (others.paper.pen_down_z_mm, others.paper.slope) = (0.0, [0.0; 2]);
     for axis in &mut others.axes {
         *axis = Axis {
             feedback_gain_per_s: 0.0,

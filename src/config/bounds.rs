@@ -208,7 +208,7 @@ impl Config {
         let (motion, others) = rows.split_at_mut(Settings::BOUNDS);
         let (pen, bus) = others.split_at_mut(PEN_BOUNDS);
         motion.copy_from_slice(&self.motion_settings().bounds());
-        pen.copy_from_slice(&self.pen.bounds());
+        pen.copy_from_slice(&self.pen.bounds(&self.paper));
         bus.copy_from_slice(&self.bus.bounds(self.drives_min()));
         rows
     }

@@ -14,7 +14,7 @@ mod terminal;
 pub use axis::{Axis, AxisMode, HomeSwitch};
 pub use bounds::{ConfigError, Field, QUICK_STOP_MAX_MS};
 pub use bus::{AddressError, Bus, HostAddress, NetworkSettings, Transport};
-pub use etherpen_motion::settings::{Geometry, MotionLimits, Orientation, Paper, WorkVolume};
+pub use etherpen_motion::settings::{Geometry, MotionLimits, Orientation, Paper, Plane, WorkVolume};
 pub use io::{
     IO_MAX, IO_NAME_MAX, IoDirection, IoError, IoName, IoPoint, IoPoints, IoRole, IoType, ObjectName, OnFault,
 };
@@ -428,6 +428,19 @@ mod tests {
         let mut buffer = [0xFF; 128];
         postcard::to_slice(&Kind::Delta.geometry(), &mut buffer).unwrap();
         assert_eq!(buffer[0], 0, "the number of the first kind");
+    }
+
+    #[test]
+    fn a_slope_at_its_bounds_stays_within_them_in_a_message() {
+        let mut config = Config::default();
+        config.paper.slope = [0.0071, -Paper::SLOPE_MAX];
+        let mut buffer = [0; CONFIG_BYTES_MAX];
+        let bytes = postcard::to_slice(&config, &mut buffer).unwrap();
+        let received: Config = postcard::from_bytes(bytes).unwrap();
+        assert_eq!((received.check(), received.hash()), (Ok(()), config.hash()));
+        assert!((received.paper.slope[0] - 0.0071).abs() < 1.0e-9);
+        config.pen.kind = PenLiftKind::Output;
+        assert_eq!(config.check().unwrap_err().field.name(), "paper.slope[0]");
     }
 
     #[test]

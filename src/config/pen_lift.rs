@@ -45,12 +45,20 @@ impl Default for PenLift {
 /// Longest time of a pen lift, ms.
 const LIFT_MAX_MS: f64 = 1_000.0;
 /// Rows of the pen lift in the table of bounds.
-pub(super) const PEN_BOUNDS: usize = 2;
+pub(super) const PEN_BOUNDS: usize = 4;
 
 impl PenLift {
-    /// Hard bounds of its values.
-    pub(super) fn bounds(&self) -> [Bound; PEN_BOUNDS] {
+    /// Hard bounds of its values. A pen that no axis lifts cannot follow a sheet that is not level.
+    pub(super) fn bounds(&self, paper: &Paper) -> [Bound; PEN_BOUNDS] {
+        let [along_x, along_y] = paper.slope;
+        let steepest = if self.kind == PenLiftKind::Axis {
+            Paper::SLOPE_MAX
+        } else {
+            0.0
+        };
         [
+            bound("paper.slope[0]", along_x, -steepest, steepest),
+            bound("paper.slope[1]", along_y, -steepest, steepest),
             bound("pen.down_ms", f64::from(self.down_ms), 0.0, LIFT_MAX_MS),
             bound("pen.up_ms", f64::from(self.up_ms), 0.0, LIFT_MAX_MS),
         ]

@@ -111,10 +111,10 @@ pub(crate) struct Bounds {
     pub(crate) undisturbed_mm: f64,
     /// Distance of the tool from the work area, mm.
     pub(crate) area_mm: f64,
-    /// Height up to which the pen may touch, mm.
+    /// Height up to which the pen may touch at the sheet's centre, mm.
     pub(crate) touch_z_mm: f64,
-    /// Lowest z, mm.
-    pub(crate) z_low_mm: f64,
+    /// Lowest z over the sheet's centre, mm.
+    pub(crate) paper_low_mm: f64,
     /// The height that all legs count at, mm, where no axis moves the tool up and down.
     pub(crate) plan_z_mm: Option<f64>,
 }
@@ -157,10 +157,7 @@ impl Bounds {
             area_mm: AREA_MM + following_mm,
             touch_z_mm: cell.paper.pen_down_z_mm + cell.paper.pen_spring_mm,
             plan_z_mm: (!cell.has_height_axis).then_some(cell.paper.pen_down_z_mm),
-            z_low_mm: cell
-                .work_area
-                .z_low_mm
-                .max(cell.paper.pen_down_z_mm - cell.paper.pressing_depth_mm),
+            paper_low_mm: cell.paper.pen_down_z_mm - cell.paper.pressing_depth_mm,
         }
     }
 

@@ -93,12 +93,14 @@ pub struct Paper {
     pub centre_mm: [f64; 2],
     /// Width and height of the sheet, mm.
     pub size_mm: [f64; 2],
-    /// The platform's z when the pen draws, mm.
+    /// The platform's z when the pen draws at the sheet's centre, mm.
     pub pen_down_z_mm: f64,
     /// How far the pen is lifted between strokes, mm.
     pub pen_lift_mm: f64,
     /// How far below its drawing height the platform may go, mm.
     pub pressing_depth_mm: f64,
+    /// How far the sheet rises over 1 mm of x and of y, mm.
+    pub slope: [f64; 2],
     /// Height above its drawing height up to which the pen's spring keeps its tip on the sheet, mm.
     pub pen_spring_mm: f64,
 }
@@ -111,8 +113,16 @@ impl Default for Paper {
             pen_down_z_mm: -850.0,
             pen_lift_mm: 3.0,
             pressing_depth_mm: 1.0,
+            slope: [0.0; 2],
             pen_spring_mm: 0.3,
         }
+    }
+}
+
+impl Paper {
+    /// How much higher the sheet is at a place than at its centre, mm.
+    pub(crate) fn rise_mm(&self, x_mm: f64, y_mm: f64) -> f64 {
+        self.slope[0] * (x_mm - self.centre_mm[0]) + self.slope[1] * (y_mm - self.centre_mm[1])
     }
 }
 

@@ -64,7 +64,7 @@ impl Monitor {
             .orders
             .step(&self.cell, &self.bounds, &self.motion, &self.disturbances)
         {
-            self.drawing.begin_unanswered(&self.bounds);
+            self.drawing.begin_unanswered(&self.cell, &self.bounds);
         }
         for report in moment.reports {
             self.disturbances.hear(report);

@@ -230,6 +230,7 @@ impl Rig {
     fn look(&mut self) -> Result<(), Violation> {
         self.time_ms += 1;
         let [a, b, c, _] = self.pose();
+        // The rig's sheet is level.
         let height = self.cell.paper.pen_down_z_mm + self.cell.paper.pen_spring_mm;
         let wire: Vec<WireFrame> = self
             .frames

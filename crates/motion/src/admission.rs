@@ -14,7 +14,7 @@ use super::work_area::{Outside, WorkArea};
 use super::{Pen, Refusal, RefusalReason, Vertex, jog};
 use crate::robots::vector::{Vector, add_scaled, length, subtract};
 use crate::robots::{GeometryError, JointAngles, Position};
-use crate::settings::{Orientation, Settings};
+use crate::settings::{Orientation, Plane, Settings};
 
 /// Distance between checked points on a leg, mm.
 pub const LEG_CHECK_MM: f64 = 5.0;
@@ -38,8 +38,8 @@ pub struct Admission {
     winding: Option<Winding>,
     wound_at: Option<Position>,
     turn_range_rad: [f64; 2],
-    /// Height of the platform with the pen down and up, mm.
-    pen_z_mm: [f64; 2],
+    /// Where the platform is with the pen down and up.
+    pen: [Plane; 2],
 }
 
 impl Admission {
@@ -48,6 +48,7 @@ impl Admission {
     /// # Errors
     /// The dimensions do not form a valid robot.
     pub fn new(settings: &Settings) -> Result<Self, GeometryError> {
+        let down = settings.paper.plane();
         Ok(Self {
             area: WorkArea::new(settings)?,
             room_mm: settings.motion.travel_tolerance_mm.max(settings.motion.tolerance_mm) + LEG_ROOM_MM,
@@ -56,10 +57,7 @@ impl Admission {
             winding: (settings.motion.orientation == Orientation::Path).then(Winding::default),
             wound_at: None,
             turn_range_rad: settings.geometry.turn_range_rad(),
-            pen_z_mm: [
-                settings.paper.pen_down_z_mm,
-                settings.paper.pen_down_z_mm + settings.paper.pen_lift_mm,
-            ],
+            pen: [down, down.raised(settings.paper.pen_lift_mm)],
         })
     }
 
@@ -120,8 +118,9 @@ impl Admission {
             reason: RefusalReason::Outside(outside),
         };
         let position = self.standing(pose).map_err(refused)?;
-        let [down_mm, up_mm] = self.pen_z_mm;
-        let z_mm = if pen == Pen::Down { down_mm } else { up_mm };
+        let [down, up] = &self.pen;
+        let plane = if pen == Pen::Down { down } else { up };
+        let z_mm = plane.z_at_mm(position.x_mm, position.y_mm);
         self.area
             .check(&Position { z_mm, ..position })
             .map(drop)

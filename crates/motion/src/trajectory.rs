@@ -69,9 +69,8 @@ pub struct Trajectory {
 struct Motion {
     area: WorkArea,
     limits: Limits,
-    pen_down_z_mm: f64,
     pen_lift_mm: f64,
-    starve_dwell_ms: usize,
+    starve_dwell_ms: u16,
     dead_man_ms: u16,
     queue: Ring<Node, QUEUE>,
     shaper: Shaper,
@@ -85,7 +84,7 @@ struct Motion {
     pushed: u32,
     /// Whether the motion on the path has begun since its start.
     begun: bool,
-    starving_ms: usize,
+    starving_ms: u32,
     underruns: u32,
     work: u32,
     watch: Watch,
@@ -99,7 +98,6 @@ impl Trajectory {
             motion: Motion {
                 area: WorkArea::NONE,
                 limits: Limits::NONE,
-                pen_down_z_mm: 0.0,
                 pen_lift_mm: 0.0,
                 starve_dwell_ms: 0,
                 dead_man_ms: 0,
@@ -144,9 +142,8 @@ impl Trajectory {
         let motion = &mut self.motion;
         motion.area = area;
         motion.limits = limits;
-        motion.pen_down_z_mm = settings.paper.pen_down_z_mm;
         motion.pen_lift_mm = settings.paper.pen_lift_mm;
-        motion.starve_dwell_ms = usize::from(settings.motion.starve_dwell_ms);
+        motion.starve_dwell_ms = settings.motion.starve_dwell_ms;
         motion.dead_man_ms = settings.dead_man_ms;
         motion.shaper.configure(settings);
         motion.plan.reconfigure(*area.kinematics(), limits, &settings.motion);
@@ -343,8 +340,9 @@ impl Motion {
         if x * x + y * y <= BESIDE_MM * BESIDE_MM {
             return;
         }
-        let near_paper = above[2] < self.pen_down_z_mm + NEAR_PAPER * self.pen_lift_mm;
-        above[2] = self.pen_down_z_mm + self.pen_lift_mm;
+        let paper_mm = self.area.paper().z_at_mm(above[0], above[1]);
+        let near_paper = above[2] < paper_mm + NEAR_PAPER * self.pen_lift_mm;
+        above[2] = paper_mm + self.pen_lift_mm;
         let is_free = || self.area.check(&above.into()).is_ok();
         let leads_on = || check_way_in(&self.area, &above.into(), &vertex.position).is_ok();
         if near_paper && is_free() && leads_on() {
@@ -402,8 +400,8 @@ impl Motion {
         if self.starving_ms == 0 && self.begun {
             self.underruns = self.underruns.saturating_add(1);
         }
-        self.starving_ms += PERIOD_MS;
-        if self.starving_ms > self.starve_dwell_ms && self.here.label.pen == Pen::Down {
+        self.starving_ms = self.starving_ms.saturating_add(PERIOD_MS as u32);
+        if self.starving_ms > u32::from(self.starve_dwell_ms) && self.here.label.pen == Pen::Down {
             self.leave_path(Then::Starved);
         }
     }
@@ -430,9 +428,10 @@ impl Motion {
             (MotionCommand::MoveTo(position), Activity::Rest) if self.is_empty() => self.move_to(position, Pen::Up),
             (MotionCommand::Pen(pen), Activity::Rest) if self.is_empty() => {
                 let mut position = Position::from(self.here.point);
+                let paper_mm = self.area.paper().z_at_mm(position.x_mm, position.y_mm);
                 position.z_mm = match pen {
-                    Pen::Down => self.pen_down_z_mm,
-                    Pen::Up => self.pen_down_z_mm + self.pen_lift_mm,
+                    Pen::Down => paper_mm,
+                    Pen::Up => paper_mm + self.pen_lift_mm,
                 };
                 self.move_to(position, pen)
             }
@@ -544,7 +543,8 @@ impl Motion {
     /// Leaves the path from a rest: lifts the pen if it is down.
     fn leave_path(&mut self, then: Then) {
         let mut above = self.here.point;
-        let near_paper = above[2] < self.pen_down_z_mm + NEAR_PAPER * self.pen_lift_mm;
+        let paper_mm = self.area.paper().z_at_mm(above[0], above[1]);
+        let near_paper = above[2] < paper_mm + NEAR_PAPER * self.pen_lift_mm;
         above[2] += self.pen_lift_mm;
         if (near_paper || self.here.label.pen == Pen::Down) && self.area.check(&above.into()).is_ok() {
             let label = Label {

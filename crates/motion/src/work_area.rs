@@ -11,7 +11,7 @@
 use crate::robots::joint_ranges::JointRanges;
 use crate::robots::vector::{Vector, root};
 use crate::robots::{Conditioning, GeometryError, Kinematics, KinematicsError, MAIN_AXES, Position};
-use crate::settings::{Settings, WorkVolume};
+use crate::settings::{Plane, Settings, WorkVolume};
 use serde::{Deserialize, Serialize};
 
 /// Factor on the bounds of a change, because these bounds grow along the displacement.
@@ -113,7 +113,8 @@ pub struct WorkArea {
     kinematics: Kinematics,
     /// The configured volume without what the robot's own box leaves out.
     volume: WorkVolume,
-    paper_low_mm: f64,
+    paper: Plane,
+    pressing_depth_mm: f64,
     /// Ranges of the main axes with the margin taken off.
     ranges: JointRanges,
 }
@@ -128,7 +129,8 @@ impl WorkArea {
             z_high_mm: 0.0,
             ..WorkVolume::ENDLESS
         },
-        paper_low_mm: 0.0,
+        paper: Plane::ZERO,
+        pressing_depth_mm: 0.0,
         ranges: JointRanges::NONE,
     };
 
@@ -150,7 +152,8 @@ impl WorkArea {
         Ok(Self {
             kinematics,
             volume,
-            paper_low_mm: settings.paper.pen_down_z_mm - settings.paper.pressing_depth_mm,
+            paper: settings.paper.plane(),
+            pressing_depth_mm: settings.paper.pressing_depth_mm,
             ranges: JointRanges::new(ranges_rad),
         })
     }
@@ -158,6 +161,16 @@ impl WorkArea {
     /// The robot.
     pub fn kinematics(&self) -> &Kinematics {
         &self.kinematics
+    }
+
+    /// Where the platform is when the pen draws.
+    pub(crate) fn paper(&self) -> &Plane {
+        &self.paper
+    }
+
+    /// Lowest z of the tool over the sheet, mm.
+    fn paper_low_mm(&self, x_mm: f64, y_mm: f64) -> f64 {
+        self.paper.z_at_mm(x_mm, y_mm) - self.pressing_depth_mm
     }
 
     /// Whether a position is inside; [`WorkArea::check`] gives the reason if not.
@@ -178,7 +191,7 @@ impl WorkArea {
             && x_mm <= x_high_mm
             && y_mm >= y_low_mm
             && y_mm <= y_high_mm
-            && z_mm >= z_low_mm.max(self.paper_low_mm)
+            && z_mm >= z_low_mm.max(self.paper_low_mm(x_mm, y_mm))
             && z_mm <= z_high_mm
             && self.kinematics.clears(&Vector::from(*position), &self.ranges)
     }
@@ -207,7 +220,7 @@ impl WorkArea {
         let [x_mm, y_mm] = at_box.map(|value| value * scale);
         let z_mm = within(
             position.z_mm,
-            [volume.z_low_mm.max(self.paper_low_mm), volume.z_high_mm],
+            [volume.z_low_mm.max(self.paper_low_mm(x_mm, y_mm)), volume.z_high_mm],
         );
         let near = Position { x_mm, y_mm, z_mm };
         self.contains(&near).then_some(near)
@@ -243,7 +256,7 @@ impl WorkArea {
             y_low_mm - y_mm,
             z_mm - self.volume.z_high_mm,
             self.volume.z_low_mm - z_mm,
-            self.paper_low_mm - z_mm,
+            self.paper_low_mm(x_mm, y_mm) - z_mm,
             a - high_a,
             b - high_b,
             c - high_c,
@@ -298,10 +311,11 @@ impl WorkArea {
         if !(z_mm >= low_mm && z_mm <= high_mm) {
             return Err(Outside::Height { z_mm, low_mm, high_mm });
         }
-        if z_mm < self.paper_low_mm {
+        let paper_low_mm = self.paper_low_mm(x_mm, y_mm);
+        if z_mm < paper_low_mm {
             return Err(Outside::Paper {
                 z_mm,
-                low_mm: self.paper_low_mm,
+                low_mm: paper_low_mm,
             });
         }
         let angles = self.kinematics.inverse(position).map_err(Outside::Kinematics)?;
@@ -546,6 +560,33 @@ mod tests {
         assert!(matches!(area.check(&inner), Err(Outside::InnerRadius { .. })));
         near(inner, at(100.0 * 0.5_f64.sqrt(), 100.0 * 0.5_f64.sqrt(), -30.0));
         assert_eq!(area.nearest(&at(f64::NAN, 0.0, 0.0)), None);
+    }
+
+    #[test]
+    fn the_lowest_place_follows_a_sheet_that_is_not_level() {
+        let mut settings = Settings::usual(Kind::Gantry.geometry());
+        settings.paper.slope = [0.02, -0.01];
+        let area = WorkArea::new(&settings).unwrap();
+        let ([x, y], depth_mm) = (settings.paper.centre_mm, settings.paper.pressing_depth_mm);
+        let at = |along: f64, across: f64, above_mm: f64| {
+            let surface_mm = settings.paper.pen_down_z_mm + 0.02 * along - 0.01 * across;
+            Position {
+                x_mm: x + along,
+                y_mm: y + across,
+                z_mm: surface_mm + above_mm,
+            }
+        };
+        for (along, across) in [(0.0, 0.0), (90.0, 0.0), (-90.0, 40.0), (60.0, -90.0)] {
+            let (above, below) = (
+                at(along, across, 0.001 - depth_mm),
+                at(along, across, -0.001 - depth_mm),
+            );
+            assert!(area.check(&above).is_ok() && area.contains(&above), "{above:?}");
+            assert!(matches!(area.check(&below), Err(Outside::Paper { .. })) && !area.contains(&below));
+            let near = area.nearest(&at(along, across, -2.0 - depth_mm)).unwrap();
+            assert!((near.z_mm - at(along, across, -depth_mm).z_mm).abs() < 1.0e-9);
+            assert!(area.check_step(&below, &above).is_ok() && area.check_step(&above, &below).is_err());
+        }
     }
 
     #[test]

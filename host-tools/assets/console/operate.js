@@ -15,6 +15,7 @@ export function operate(link) {
   buttons(link);
   override(link);
   jog(link);
+  sheet(link);
   positions(link);
 }
 
@@ -194,6 +195,22 @@ function jog(link) {
   addEventListener("blur", releaseAll);
   document.addEventListener("visibilitychange", releaseAll);
   for (const name of ["closed", "control"]) link.on(name, () => link.controls || releaseAll());
+}
+
+// Where the sheet lies, from places where the pen touched it.
+function sheet(link) {
+  const actions = { touch: "add", "touch-undo": "undo", "touch-store": "store" };
+  for (const [id, action] of Object.entries(actions)) $(id).addEventListener("click", () => link.send({ type: "touch", action }));
+  const show = () => {
+    const { sheet: found, status } = link.state;
+    $("sheet").hidden = !found?.follows;
+    text($("sheet-text"), found?.text ?? "");
+    $("touch").disabled = !link.controls || !status?.referenced;
+    $("touch-undo").disabled = !link.controls || !found?.touches;
+    $("touch-store").disabled = !link.controls || !found?.is_found;
+  };
+  for (const name of ["sheet", "status", "control", "open", "closed"]) link.on(name, show);
+  show();
 }
 
 function positions(link) {

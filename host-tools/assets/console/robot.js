@@ -69,8 +69,9 @@ export function robot(link) {
   const workspace = ({ paper, work_area: area }, line, at, context, colours) => {
     const [width, height] = paper.size_mm.map((size) => size / 2);
     const [x, y] = paper.centre_mm;
-    const z = paper.pen_down_z_mm - PEN_MM;
-    const corners = [[x - width, y - height, z], [x + width, y - height, z], [x + width, y + height, z], [x - width, y + height, z]];
+    const [alongX, alongY] = paper.slope;
+    const corner = (right, back) => [x + right, y + back, paper.pen_down_z_mm - PEN_MM + alongX * right + alongY * back];
+    const corners = [corner(-width, -height), corner(width, -height), corner(width, height), corner(-width, height)];
     context.beginPath();
     corners.forEach((corner, index) => (index ? context.lineTo(...at(corner)) : context.moveTo(...at(corner))));
     context.closePath();

@@ -119,13 +119,17 @@ impl Figure {
     /// The path: to the first point of each stroke with the pen up, then along its points, then up.
     #[must_use]
     pub fn path(&self, config: &Config) -> Vec<PathVertex> {
-        let down_um = (config.paper.pen_down_z_mm * 1e3).round() as i32;
-        let up_um = ((config.paper.pen_down_z_mm + config.paper.pen_lift_mm) * 1e3).round() as i32;
+        let (down, lift_mm) = (config.paper.plane(), config.paper.pen_lift_mm);
+        let z_um = |[x_um, y_um]: [i32; 2], lift_mm: f64| {
+            let [x_mm, y_mm] = [x_um, y_um].map(|um| f64::from(um) * 1e-3);
+            ((down.z_at_mm(x_mm, y_mm) + lift_mm) * 1e3).round() as i32
+        };
         let mut path = Vec::new();
         for (stroke, points) in (0u32..).zip(&self.0) {
-            let mut go = |[x_um, y_um]: [i32; 2], z_um: i32, pen: Pen| {
+            let mut go = |at: [i32; 2], lift_mm: f64, pen: Pen| {
+                let [x_um, y_um] = at;
                 path.push(PathVertex {
-                    position_um: [x_um, y_um, z_um],
+                    position_um: [x_um, y_um, z_um(at, lift_mm)],
                     pen,
                     stroke,
                 });
@@ -133,10 +137,10 @@ impl Figure {
             let (Some(first), Some(last)) = (points.first(), points.last()) else {
                 continue;
             };
-            go(*first, up_um, Pen::Up);
-            go(*first, down_um, Pen::Up);
-            points.iter().skip(1).for_each(|point| go(*point, down_um, Pen::Down));
-            go(*last, up_um, Pen::Up);
+            go(*first, lift_mm, Pen::Up);
+            go(*first, 0.0, Pen::Up);
+            points.iter().skip(1).for_each(|point| go(*point, 0.0, Pen::Down));
+            go(*last, lift_mm, Pen::Up);
         }
         path
     }

@@ -603,6 +603,7 @@ fn cell(config: &Config) -> monitor::Cell {
             pen_down_z_mm: paper.pen_down_z_mm,
             pen_lift_mm: paper.pen_lift_mm,
             pressing_depth_mm: paper.pressing_depth_mm,
+            slope: paper.slope,
             pen_spring_mm: PEN_SPRING_MM,
         },
         has_height_axis: has_height_axis(config),

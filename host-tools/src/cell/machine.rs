@@ -70,7 +70,7 @@ impl Machine {
             placing: differs
                 .then(|| Placing::new(&config.geometry, &config.paper, residues))
                 .flatten(),
-            sheet: Sheet::new(config.paper),
+            sheet: Sheet::new(physics.paper(&config.paper)),
             resting: resting(config),
             pen_lift: PenLift::new(config),
         }

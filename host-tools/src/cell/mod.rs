@@ -35,7 +35,7 @@ pub use faults::read_faults;
 pub use paper::{InkStroke, PEN_SPRING_MM};
 pub use physics::{
     Backlash, Calibration, CellChoice, CellFileError, DeadTime, Friction, LoopKind, Payload, Physics, PositionLoop,
-    Resolver, StructuralMode, TorqueMeasurement, Value, VelocityLoop,
+    Resolver, SheetPlace, StructuralMode, TorqueMeasurement, Value, VelocityLoop,
 };
 pub use terminals::usual_slaves;
 
@@ -111,6 +111,8 @@ pub struct CellState {
     pub pen_touches: bool,
     /// Milliseconds of contact off the sheet.
     pub contacts_outside: u64,
+    /// How far the platform was below the height at which the pen draws, at most, mm.
+    pub pressed_max_mm: f64,
     /// Milliseconds without a possible platform position.
     pub unreachable_ms: u64,
     /// Milliseconds in which an end stop held a joint.
@@ -353,6 +355,7 @@ impl Cell {
             platform: robot.platform(),
             pen_touches: sheet.touching(),
             contacts_outside: sheet.contacts_outside(),
+            pressed_max_mm: sheet.pressed_max_mm(),
             unreachable_ms: robot.unreachable_ms(),
             end_stop_ms: robot.end_stop_ms(),
             frames: self.segment.frames(),

@@ -54,6 +54,7 @@ pub(super) struct Sheet {
     strokes: Vec<InkStroke>,
     touching: bool,
     contacts_outside: u64,
+    pressed_max_mm: f64,
 }
 
 impl Sheet {
@@ -63,6 +64,7 @@ impl Sheet {
             strokes: Vec::new(),
             touching: false,
             contacts_outside: 0,
+            pressed_max_mm: 0.0,
         }
     }
 
@@ -87,9 +89,21 @@ impl Sheet {
         self.contacts_outside
     }
 
+    /// How far the platform was below the height at which the pen draws, at most, mm.
+    pub(super) fn pressed_max_mm(&self) -> f64 {
+        self.pressed_max_mm
+    }
+
     /// Takes the platform's position at one millisecond.
     pub(super) fn step(&mut self, time_ms: u64, platform: Position) {
-        let touches = platform.z_mm <= self.paper.pen_down_z_mm + PEN_SPRING_MM;
+        let [from_centre_x_mm, from_centre_y_mm] = [
+            platform.x_mm - self.paper.centre_mm[0],
+            platform.y_mm - self.paper.centre_mm[1],
+        ];
+        let rise_mm = self.paper.slope[0] * from_centre_x_mm + self.paper.slope[1] * from_centre_y_mm;
+        let above_mm = platform.z_mm - self.paper.pen_down_z_mm - rise_mm;
+        let touches = above_mm <= PEN_SPRING_MM;
+        self.pressed_max_mm = self.pressed_max_mm.max(-above_mm);
         if touches {
             let [x_mm, y_mm] = self.on_sheet(platform);
             let [width_mm, height_mm] = self.paper.size_mm;
@@ -154,6 +168,23 @@ mod tests {
         sheet.step(1, at(110.0, -30.0, -850.0));
         assert_eq!(sheet.ink()[0].points_mm, [[0.0, 0.0], [200.0, 100.0]]);
         assert_eq!(sheet.contacts_outside(), 0);
+    }
+
+    #[test]
+    fn a_tilted_sheet_is_touched_where_it_lies() {
+        let mut sheet = sheet();
+        sheet.paper.slope = [0.01, 0.02];
+        // 1 mm higher at the right, 1 mm lower in front.
+        for (ms, (x, y, z)) in [(110.0, 20.0, -848.6), (110.0, 20.0, -848.8), (10.0, -30.0, -850.6)]
+            .into_iter()
+            .enumerate()
+        {
+            sheet.step(ms as u64, at(x, y, z));
+        }
+        let lengths: Vec<_> = sheet.ink().iter().map(|s| (s.start_ms, s.points_mm.len())).collect();
+        assert_eq!((lengths, sheet.pressed_max_mm()), (vec![(1, 1)], 0.0));
+        sheet.step(9, at(10.0, -30.0, -851.2));
+        assert!((sheet.pressed_max_mm() - 0.2).abs() < 1.0e-9);
     }
 
     #[test]

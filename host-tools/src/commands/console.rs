@@ -61,9 +61,11 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
             (cell.port(), Some((cell, kind)))
         }
     };
+    let file = arguments.config.file_to_store(&config).map_err(|error| error.message);
     let token = token()?;
     let console = Console::start(config, token.clone(), port, cell)
         .map_err(|cause| ProgramError::new(code::CONNECTION, cause))?;
+    console.store_sheet_in(file);
     let server = Server::start(console.clone(), arguments.listen).map_err(|cause| {
         let listen = arguments.listen;
         let text = format!("{listen} cannot be used: {cause}; choose another one with --listen 127.0.0.1:0");

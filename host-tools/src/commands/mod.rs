@@ -23,6 +23,7 @@ mod nightly;
 pub mod operate;
 mod operator;
 pub mod order;
+pub mod paper;
 pub mod plan;
 pub mod ports;
 pub mod preview;

@@ -60,6 +60,8 @@ pub enum Topic {
     Preparation,
     /// The firmware's measurements.
     Measured,
+    /// Where the sheet lies, and the touches that find it.
+    Sheet,
     /// The virtual segment.
     Segment,
     /// Error counters of the slave controllers.
@@ -77,6 +79,7 @@ impl Topic {
             Self::Progress => "progress",
             Self::Preparation => "studio",
             Self::Measured => "measured",
+            Self::Sheet => "sheet",
             Self::Segment => "segment",
             Self::LineErrors => "line_errors",
         }

@@ -7,6 +7,7 @@
 use super::capture::Condition;
 use super::history::Bucket;
 use super::preparation::PageOptions;
+use super::sheet::TouchAction;
 use etherpen::messages::PathVertex;
 use etherpen::motion::Pen;
 use serde::de::Error;
@@ -239,6 +240,11 @@ pub enum Request {
     Discard {
         /// Number of the drawing.
         job: u64,
+    },
+    /// Find where the sheet lies.
+    Touch {
+        /// What the operator does.
+        action: TouchAction,
     },
     /// Read the firmware's measurements.
     Measure {

@@ -24,6 +24,7 @@ pub mod messages;
 mod page_text;
 pub mod preparation;
 pub mod server;
+pub mod sheet;
 pub mod signals;
 pub mod skeleton;
 pub mod status;
@@ -133,6 +134,7 @@ pub struct Console {
     cell: Option<(VirtualCell, &'static str)>,
     removed: Mutex<Vec<usize>>,
     preview: Mutex<Preview>,
+    sheet: Mutex<sheet::SheetTouches>,
     changed: watch::Sender<u64>,
     gate: Arc<Gate>,
     viewers: viewer::Viewers,
@@ -191,6 +193,7 @@ impl Console {
             ..PreparationView::default()
         };
         hub.say(Topic::Preparation, &idle);
+        hub.say(Topic::Sheet, &sheet::view(&config, &[]));
         let console = Arc::new(Self {
             config,
             token,
@@ -200,6 +203,7 @@ impl Console {
             cell,
             removed: Mutex::new(Vec::new()),
             preview: Mutex::default(),
+            sheet: Mutex::default(),
             changed: watch::channel(0).0,
             gate: Arc::default(),
             viewers: viewer::Viewers::default(),

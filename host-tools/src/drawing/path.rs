@@ -11,30 +11,26 @@ use etherpen::robots::Position;
 /// The drawing in the robot's frame: for each stroke a travel move to above its start, down, along the stroke, up.
 #[must_use]
 pub fn to_path(drawing: &Drawing, paper: &Paper) -> Vec<Vertex> {
-    let lifted_z_mm = paper.pen_down_z_mm + paper.pen_lift_mm;
+    let plane = paper.plane();
     let mut path = Vec::new();
     for (stroke, points) in (0_u32..).zip(drawing.strokes.iter().map(|stroke| &stroke.points)) {
         let (Some(&first), Some(&last)) = (points.first(), points.last()) else {
             continue;
         };
-        let at = |point: [f64; 2], z_mm: f64, pen: Pen| Vertex {
-            position: Position {
-                x_mm: paper.centre_mm[0] + point[0] - 0.5 * drawing.sheet_mm[0],
-                y_mm: paper.centre_mm[1] - point[1] + 0.5 * drawing.sheet_mm[1],
-                z_mm,
-            },
-            pen,
-            stroke,
+        let at = |point: [f64; 2], lift_mm: f64, pen: Pen| {
+            let x_mm = paper.centre_mm[0] + point[0] - 0.5 * drawing.sheet_mm[0];
+            let y_mm = paper.centre_mm[1] - point[1] + 0.5 * drawing.sheet_mm[1];
+            let z_mm = plane.z_at_mm(x_mm, y_mm) + lift_mm;
+            Vertex {
+                position: Position { x_mm, y_mm, z_mm },
+                pen,
+                stroke,
+            }
         };
-        path.push(at(first, lifted_z_mm, Pen::Up));
-        path.push(at(first, paper.pen_down_z_mm, Pen::Up));
-        path.extend(
-            points
-                .iter()
-                .skip(1)
-                .map(|&point| at(point, paper.pen_down_z_mm, Pen::Down)),
-        );
-        path.push(at(last, lifted_z_mm, Pen::Up));
+        path.push(at(first, paper.pen_lift_mm, Pen::Up));
+        path.push(at(first, 0.0, Pen::Up));
+        path.extend(points.iter().skip(1).map(|&point| at(point, 0.0, Pen::Down)));
+        path.push(at(last, paper.pen_lift_mm, Pen::Up));
     }
     path
 }
@@ -100,6 +96,25 @@ mod tests {
         assert_eq!(place(0), [-90.0, 120.0, paper.pen_down_z_mm + paper.pen_lift_mm]);
         assert_eq!(place(2), [110.0, 120.0, paper.pen_down_z_mm]);
         assert_eq!(place(3), [110.0, 70.0, paper.pen_down_z_mm]);
+    }
+
+    #[test]
+    fn every_vertex_follows_a_sheet_that_is_not_level() {
+        let paper = Paper {
+            centre_mm: [10.0, 20.0],
+            slope: [0.01, -0.02],
+            ..Paper::default()
+        };
+        let places: Vec<_> = to_path(&drawing(), &paper)
+            .iter()
+            .map(|vertex| {
+                let Position { x_mm, y_mm, z_mm } = vertex.position;
+                (z_mm - paper.pen_down_z_mm - 0.01 * (x_mm - 10.0) + 0.02 * (y_mm - 20.0)).abs()
+            })
+            .collect();
+        for (place, lift_mm) in places.iter().zip([3.0, 0.0, 0.0, 0.0, 3.0, 3.0, 0.0, 0.0, 3.0]) {
+            assert!((place - lift_mm).abs() < 1.0e-9, "{places:?}");
+        }
     }
 
     #[test]

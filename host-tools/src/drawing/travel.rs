@@ -127,12 +127,10 @@ fn at(paper: &Paper, along: usize, [along_mm, across_mm]: [f64; 2], lifted_mm: f
         [across_mm, along_mm]
     };
     let [centre_x, centre_y] = paper.centre_mm;
+    let (x_mm, y_mm) = (centre_x + x, centre_y + y);
+    let z_mm = paper.plane().z_at_mm(x_mm, y_mm) + lifted_mm;
     Vertex {
-        position: Position {
-            x_mm: centre_x + x,
-            y_mm: centre_y + y,
-            z_mm: paper.pen_down_z_mm + lifted_mm,
-        },
+        position: Position { x_mm, y_mm, z_mm },
         pen,
         stroke: 0,
     }

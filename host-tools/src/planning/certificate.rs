@@ -2,9 +2,11 @@
 
 use super::PlanningError;
 use super::dimensions::robot;
+use crate::axes::{self, Motion};
 use etherpen::config::Config;
 use etherpen::motion::{Observer, Passage, Trajectory, Vertex};
-use etherpen_certify::{Certificate, Certifier, Kind, Limits, Stretch};
+use etherpen::robots;
+use etherpen_certify::{Certificate, Certifier, Kind, Limits, Quantity, Stretch};
 use serde::Serialize;
 
 /// Part of a limit by which a motion may exceed it: the planner's own tests allow as much.
@@ -58,7 +60,7 @@ pub struct Refused {
     pub kind: &'static str,
     /// The limited quantity.
     pub limit_of: &'static str,
-    /// Its unit.
+    /// Its unit, that of the axis.
     pub unit: &'static str,
     /// The axis, from 1.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -80,6 +82,7 @@ pub struct Refused {
 /// Observes the planner and feeds the certifier.
 pub(super) struct Witness {
     certifier: Certifier,
+    kind: robots::Kind,
     excess: f64,
     ticks: u64,
 }
@@ -91,13 +94,14 @@ impl Witness {
         let limits = limits(config, trajectory.jerk_window_ms(), excess);
         Ok(Self {
             certifier: Certifier::new(robot(config), limits, points.collect()),
+            kind: config.geometry.kind(),
             excess,
             ticks: 0,
         })
     }
 
     pub(super) fn finish(self) -> CertificateReport {
-        report(&self.certifier.finish(), self.excess)
+        report(&self.certifier.finish(), self.kind, self.excess)
     }
 }
 
@@ -145,15 +149,33 @@ fn limits(config: &Config, window_ms: u16, excess: f64) -> Limits {
     }
 }
 
-fn report(certificate: &Certificate, excess: f64) -> CertificateReport {
+/// Name and unit of a quantity as the axis has it, and the factor from the certifier's value.
+fn shown(quantity: &Quantity, kind: robots::Kind) -> (&'static str, &'static str, f64) {
+    let (name, unit) = quantity.name_and_unit();
+    let axis = quantity.axis().map(|axis| usize::from(axis).saturating_sub(1));
+    let motion = axis.map_or(Motion::Rotary, |axis| axes::motion(kind, axis));
+    let of_axis = match quantity {
+        Quantity::Angle(_) => axes::Quantity::Position,
+        Quantity::JointSpeed(_) => axes::Quantity::Speed,
+        Quantity::JointAcceleration(_) | Quantity::JointJump(_) => axes::Quantity::Acceleration,
+        _ => return (name, unit, 1.0),
+    };
+    let name = match (quantity, motion) {
+        (Quantity::Angle(_), Motion::Linear) => "position",
+        _ => name,
+    };
+    (name, motion.unit(of_axis), motion.factor())
+}
+
+fn report(certificate: &Certificate, kind: robots::Kind, excess: f64) -> CertificateReport {
     let used = certificate.uses.iter().map(|(quantity, used)| UsedPart {
-        limit_of: quantity.name_and_unit().0,
+        limit_of: shown(quantity, kind).0,
         axis: quantity.axis(),
         least: used.least,
         most: used.most,
     });
     let refusals = certificate.refusals.iter().map(|refusal| {
-        let (limit_of, unit) = refusal.quantity.name_and_unit();
+        let (limit_of, unit, factor) = shown(&refusal.quantity, kind);
         Refused {
             kind: match refusal.kind {
                 Kind::Violated => "violated",
@@ -166,8 +188,8 @@ fn report(certificate: &Certificate, excess: f64) -> CertificateReport {
             vertex: refusal.vertex,
             t_s: refusal.time_s,
             parameter: refusal.parameter,
-            value: refusal.value,
-            limit: refusal.limit,
+            value: refusal.value.map(|value| value * factor),
+            limit: refusal.limit * factor,
         }
     });
     CertificateReport {
@@ -215,5 +237,38 @@ mod tests {
             .unwrap();
         assert_eq!((found.kind, found.limit), ("violated", 396.0));
         assert!(found.value[0] > 396.0 && found.t_s > 0.0 && found.unit == "mm/s");
+    }
+
+    #[test]
+    fn a_linear_axis_is_proved_and_refused_in_millimetres() {
+        let mut config = crate::settings::machines::MACHINES[1].load().unwrap();
+        let path = vertices(&[[300.0, 200.0, -20.0], [400.0, 200.0, -20.0], [400.0, 260.0, -20.0]]);
+        let fast = config.clone();
+        config.motion.joint_speed_rad_s[0] = 1.0;
+        let mut witness = Witness::new(&config, &path, 0.0).unwrap();
+        plan_observed(&fast, &path, &mut witness, |_, _| ()).unwrap();
+        let report = witness.finish();
+        let found = report
+            .refusals
+            .iter()
+            .find(|refusal| refusal.limit_of == "joint_speed")
+            .unwrap();
+        assert_eq!((found.axis, found.unit, found.limit), (Some(1), "mm/s", 100.0));
+        // The pen goes along x with its configured speed.
+        assert!(
+            found.value[0] > 100.0 && found.value[1] < 1.01 * fast.motion.speed_mm_s,
+            "{found:?}"
+        );
+        assert!(report.used.iter().any(|used| used.limit_of == "position"), "{report:?}");
+        assert!(
+            report
+                .used
+                .iter()
+                .all(|used| used.axis != Some(1) || used.limit_of != "angle")
+        );
+        // A rotary axis keeps its radians.
+        let mixed = robots::Kind::Scara;
+        assert_eq!(shown(&Quantity::Angle(1), mixed), ("angle", "rad", 1.0));
+        assert_eq!(shown(&Quantity::JointJump(3), mixed), ("joint_jump", "mm/s2", 100.0));
     }
 }

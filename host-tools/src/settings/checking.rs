@@ -54,6 +54,32 @@ impl std::fmt::Display for Finding {
     }
 }
 
+/// Which corner of its sheet a machine does not reach, why, and what to do; `None` if it reaches all.
+#[must_use]
+pub fn unreached(config: &Config, area: &WorkArea) -> Option<String> {
+    let paper = &config.paper;
+    let plane = paper.plane();
+    let ([x, y], [width, height]) = (paper.centre_mm, paper.size_mm);
+    let corners = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5), (0.0, 0.0)];
+    let lifts_mm = [0.0, paper.pen_lift_mm];
+    let places = lifts_mm
+        .iter()
+        .flat_map(|lift_mm| corners.map(|corner| (corner, *lift_mm)));
+    for ((across, along), lift_mm) in places {
+        let (x_mm, y_mm) = (x + across * width, y + along * height);
+        let z_mm = plane.z_at_mm(x_mm, y_mm) + lift_mm;
+        if let Err(why) = area.check(&Position { x_mm, y_mm, z_mm }) {
+            let what = if lift_mm > 0.0 { " with the pen lifted" } else { "" };
+            return Some(format!(
+                "the machine does not reach x {x_mm:.1}, y {y_mm:.1}, z {z_mm:.1} mm of its sheet{what}: {}; move or shrink \
+                 [paper], or correct [work_area] and [geometry]",
+                text::outside(&why)
+            ));
+        }
+    }
+    None
+}
+
 /// The places of values in a file.
 struct Places<'a> {
     text: &'a str,
@@ -307,34 +333,13 @@ impl Checks<'_> {
         let Ok(area) = WorkArea::new(&self.config.motion_settings()) else {
             return;
         };
-        let paper = &self.config.paper;
-        let ([x, y], [width, height]) = (paper.centre_mm, paper.size_mm);
-        let lifted_mm = paper.pen_down_z_mm + paper.pen_lift_mm;
-        let corners = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5), (0.0, 0.0)];
-        let heights = [paper.pen_down_z_mm, lifted_mm];
-        let places = heights.iter().flat_map(|z_mm| corners.map(|corner| (corner, *z_mm)));
-        for ((across, along), z_mm) in places {
-            let position = Position {
-                x_mm: x + across * width,
-                y_mm: y + along * height,
-                z_mm,
-            };
-            if let Err(why) = area.check(&position) {
-                let what = if z_mm == lifted_mm { " with the pen lifted" } else { "" };
-                found.push(Finding {
-                    gravity: Gravity::Error,
-                    line: self.places.of("paper", &["centre_mm", "size_mm"]),
-                    text: format!(
-                        "the machine does not reach x {:.1}, y {:.1}, z {:.1} mm of its sheet{what}: {}; move or shrink \
-                         [paper], or correct [work_area] and [geometry]",
-                        position.x_mm,
-                        position.y_mm,
-                        position.z_mm,
-                        text::outside(&why)
-                    ),
-                });
-                return;
-            }
+        if let Some(text) = unreached(self.config, &area) {
+            found.push(Finding {
+                gravity: Gravity::Error,
+                line: self.places.of("paper", &["centre_mm", "size_mm"]),
+                text,
+            });
+            return;
         }
         let volume = &self.config.work_area;
         let [[left, right], [front, back]] = [volume.x_mm, volume.y_mm];
@@ -351,7 +356,8 @@ impl Checks<'_> {
         for position in corners.filter(|_| is_box) {
             // The pen may not go deeper than the sheet allows; that is no question of reach.
             let settings = self.config.motion_settings();
-            let lowest_mm = settings.paper.pen_down_z_mm - settings.paper.pressing_depth_mm;
+            let lowest = settings.paper.plane().raised(-settings.paper.pressing_depth_mm);
+            let lowest_mm = lowest.z_at_mm(position.x_mm, position.y_mm);
             let position = Position {
                 z_mm: position.z_mm.max(lowest_mm),
                 ..position

@@ -27,6 +27,7 @@ mod other_masters;
 mod outputs;
 #[cfg(target_os = "linux")]
 mod outside;
+mod paper;
 mod pictures;
 mod plan;
 mod program;

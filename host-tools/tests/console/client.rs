@@ -30,8 +30,12 @@ pub(crate) struct Rig {
 
 impl Rig {
     pub(crate) fn start() -> Self {
+        Self::in_cell(CellOptions::default())
+    }
+
+    pub(crate) fn in_cell(options: CellOptions) -> Self {
         let config = Config::default();
-        let cell = VirtualCell::start(&config, CellOptions::default(), Firmware::Simulated).unwrap();
+        let cell = VirtualCell::start(&config, options, Firmware::Simulated).unwrap();
         let (port, view) = (cell.port(), cell.view());
         let console = Console::start(config, TOKEN.to_owned(), port, Some((cell, "simulated"))).unwrap();
         let server = Server::start(console.clone(), "127.0.0.1:0".parse().unwrap()).unwrap();

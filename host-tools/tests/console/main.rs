@@ -7,6 +7,7 @@ mod page;
 mod preparation;
 mod protocol;
 mod resumed;
+mod sheet;
 mod stopping;
 mod truth;
 mod unfinished;

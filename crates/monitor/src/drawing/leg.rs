@@ -25,11 +25,11 @@ fn inverse(squared: f64) -> f64 {
 }
 
 impl Leg {
-    /// A leg; the pen may touch below `touch_z_mm`.
-    pub(crate) fn new(from: Vector, to: Vector, pen_down: bool, touch_z_mm: f64) -> Self {
+    /// A leg; the pen may touch below these heights at its beginning and its end.
+    pub(crate) fn new(from: Vector, to: Vector, pen_down: bool, touch_z_mm: [f64; 2]) -> Self {
         let along = subtract(to, from);
-        let room = touch_z_mm - from[2];
-        let touch = match along[2] {
+        let [room, room_at_end] = [touch_z_mm[0] - from[2], touch_z_mm[1] - to[2]];
+        let touch = match room - room_at_end {
             rise if rise.abs() < 1.0e-9 => [0.0, if room >= 0.0 { 1.0 } else { -1.0 }],
             rise if rise > 0.0 => [0.0, (room / rise).min(1.0)],
             rise => [(room / rise).max(0.0), 1.0],
@@ -53,7 +53,7 @@ impl Leg {
         let touch = self.touch;
         Self {
             touch,
-            ..Self::new(at_height(self.from), at_height(self.to), self.pen_down, z_mm)
+            ..Self::new(at_height(self.from), at_height(self.to), self.pen_down, [z_mm; 2])
         }
     }
 
@@ -118,9 +118,9 @@ mod tests {
 
     #[test]
     fn in_plan_view_only_the_distance_beside_the_leg_counts_and_the_pen_touches_where_it_did() {
-        let lowering = Leg::new([1.0, 2.0, -847.0], [1.0, 2.0, -850.0], false, -849.7);
+        let lowering = Leg::new([1.0, 2.0, -847.0], [1.0, 2.0, -850.0], false, [-849.7; 2]);
         assert_eq!(lowering.in_plan(None), lowering);
-        let travel = Leg::new([0.0, 0.0, -847.0], [9.0, 0.0, -847.0], false, -849.7).in_plan(Some(-850.0));
+        let travel = Leg::new([0.0, 0.0, -847.0], [9.0, 0.0, -847.0], false, [-849.7; 2]).in_plan(Some(-850.0));
         assert!(!travel.touches());
         assert!((travel.distance_squared(&[4.0, 0.5, -850.0]) - 0.25).abs() < 1e-12);
         let lowering = lowering.in_plan(Some(-850.0));
@@ -129,7 +129,7 @@ mod tests {
 
     #[test]
     fn distances_are_to_the_line_between_the_ends() {
-        let leg = Leg::new([0.0, 0.0, -850.0], [10.0, 0.0, -850.0], true, -849.7);
+        let leg = Leg::new([0.0, 0.0, -850.0], [10.0, 0.0, -850.0], true, [-849.7; 2]);
         assert!((leg.distance_squared(&[5.0, 3.0, -850.0]) - 9.0).abs() < 1e-12);
         assert!((leg.distance_squared(&[-3.0, 0.0, -846.0]) - 25.0).abs() < 1e-12);
         assert!((leg.touch_distance_squared(&[12.0, 0.0, -840.0]) - 4.0).abs() < 1e-12);
@@ -140,18 +140,22 @@ mod tests {
 
     #[test]
     fn a_leg_touches_where_it_is_low() {
-        let down = Leg::new([0.0, 0.0, -847.0], [0.0, 0.0, -850.0], false, -849.7);
+        let down = Leg::new([0.0, 0.0, -847.0], [0.0, 0.0, -850.0], false, [-849.7; 2]);
         assert!(down.touches() && down.touch_distance_squared(&[0.0, 1.0, -850.0]) <= 1.0);
-        let slope = Leg::new([0.0, 0.0, -850.0], [10.0, 0.0, -840.0], false, -849.0);
+        let slope = Leg::new([0.0, 0.0, -850.0], [10.0, 0.0, -840.0], false, [-849.0; 2]);
         assert!(slope.touch_distance_squared(&[1.0, 0.0, -849.5]) < 1e-12);
         assert!((slope.touch_distance_squared(&[3.0, 0.0, -849.5]) - 4.0).abs() < 1e-9);
-        let high = Leg::new([0.0, 0.0, -847.0], [9.0, 0.0, -847.0], false, -849.7);
+        // A level leg over a sheet that rises by 2 mm meets it half way.
+        let level = Leg::new([0.0, 0.0, -849.0], [10.0, 0.0, -849.0], false, [-850.0, -848.0]);
+        assert!((level.touch_distance_squared(&[2.0, 0.0, -849.0]) - 9.0).abs() < 1e-9);
+        assert!(level.touch_distance_squared(&[7.0, 0.0, -849.0]) < 1e-12);
+        let high = Leg::new([0.0, 0.0, -847.0], [9.0, 0.0, -847.0], false, [-849.7; 2]);
         assert!(!high.touches() && high.touch_distance_squared(&[0.0, 0.0, -847.0]).is_infinite());
     }
 
     #[test]
     fn a_leg_without_length_is_a_point() {
-        let leg = Leg::new([1.0, 2.0, -850.0], [1.0, 2.0, -850.0], true, -849.7);
+        let leg = Leg::new([1.0, 2.0, -850.0], [1.0, 2.0, -850.0], true, [-849.7; 2]);
         assert!((leg.distance_squared(&[1.0, 4.0, -850.0]) - 4.0).abs() < 1e-12);
         assert!((leg.touch_distance_squared(&[1.0, 4.0, -850.0]) - 4.0).abs() < 1e-12);
     }

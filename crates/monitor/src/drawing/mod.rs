@@ -118,7 +118,7 @@ impl Drawing {
             Input::Commanded(command @ Command::Pen { down }) => {
                 if let Some([x, y, _]) = tool {
                     let lift_mm = if down { 0.0 } else { cell.paper.pen_lift_mm };
-                    let to = [x, y, cell.paper.pen_down_z_mm + lift_mm];
+                    let to = [x, y, cell.paper.pen_down_z_mm + cell.paper.rise_mm(x, y) + lift_mm];
                     self.order_single(cell, command, tool, to, bounds);
                 }
             }
@@ -133,7 +133,7 @@ impl Drawing {
                 if let Some(asked) = asked {
                     asked.path.push((index, position_mm, pen_down));
                 } else if self.unanswered.is_some_and(|(unanswered, _)| unanswered == job) {
-                    self.append_unanswered(position_mm, pen_down, bounds);
+                    self.append_unanswered(cell, position_mm, pen_down, bounds);
                 } else if self.job == Some(job) {
                     self.go_on(cell, bounds, index, position_mm, pen_down);
                 }
@@ -215,12 +215,12 @@ impl Drawing {
 
     /// The answers to the drawings that were ordered last were lost. The robot may draw them or the one before: all are
     /// right, and none has to be complete.
-    pub(crate) fn begin_unanswered(&mut self, bounds: &Bounds) {
+    pub(crate) fn begin_unanswered(&mut self, cell: &Cell, bounds: &Bounds) {
         for asked in [self.replaced.take(), self.next.take()].into_iter().flatten() {
             self.unanswered = Some((asked.job, asked.at));
             self.was_disturbed = true;
             for (_, position_mm, pen_down) in asked.path {
-                self.append_unanswered(position_mm, pen_down, bounds);
+                self.append_unanswered(cell, position_mm, pen_down, bounds);
             }
         }
     }
@@ -233,10 +233,10 @@ impl Drawing {
     }
 
     /// The path of the drawing whose answer was lost goes on to a vertex.
-    fn append_unanswered(&mut self, to: Vector, pen_down: bool, bounds: &Bounds) {
+    fn append_unanswered(&mut self, cell: &Cell, to: Vector, pen_down: bool, bounds: &Bounds) {
         let Some((job, end)) = self.unanswered else { return };
         let present = std::mem::replace(&mut self.end, end);
-        self.append(to, pen_down, bounds);
+        self.append(cell, to, pen_down, bounds);
         self.unanswered = Some((job, self.end));
         self.end = present;
     }
@@ -265,7 +265,7 @@ impl Drawing {
         if index == 0 && !pen_down {
             self.lift_first(cell, bounds);
         }
-        self.append(position_mm, pen_down, bounds);
+        self.append(cell, position_mm, pen_down, bounds);
     }
 
     fn order_single(&mut self, cell: &Cell, command: Command, tool: Option<Vector>, to: Vector, bounds: &Bounds) {
@@ -273,7 +273,8 @@ impl Drawing {
             return;
         };
         // The tool may be as much lower as it follows; on a flat leg the pen then leaves the paper much later.
-        let leg = Leg::new(from, to, false, bounds.touch_z_mm + cell.following_mm).in_plan(bounds.plan_z_mm);
+        let touch_mm = [from, to].map(|[x, y, _]| bounds.touch_z_mm + cell.paper.rise_mm(x, y) + cell.following_mm);
+        let leg = Leg::new(from, to, false, touch_mm).in_plan(bounds.plan_z_mm);
         if let Some(single) = self.singles.get_mut(self.single) {
             *single = Some((command, leg));
         }
@@ -282,13 +283,14 @@ impl Drawing {
 
     /// A pen that may touch where a drawing begins is lifted first, straight up.
     fn lift_first(&mut self, cell: &Cell, bounds: &Bounds) {
-        if let Some([x, y, z]) = self.end.filter(|from| from[2] <= bounds.touch_z_mm) {
-            let up_mm = cell.paper.pen_down_z_mm + cell.paper.pen_lift_mm;
-            self.append([x, y, up_mm.max(z)], false, bounds);
+        let touches = |[x, y, z]: &Vector| *z <= bounds.touch_z_mm + cell.paper.rise_mm(*x, *y);
+        if let Some([x, y, z]) = self.end.filter(touches) {
+            let up_mm = cell.paper.pen_down_z_mm + cell.paper.rise_mm(x, y) + cell.paper.pen_lift_mm;
+            self.append(cell, [x, y, up_mm.max(z)], false, bounds);
         }
     }
 
-    fn append(&mut self, to: Vector, pen_down: bool, bounds: &Bounds) {
+    fn append(&mut self, cell: &Cell, to: Vector, pen_down: bool, bounds: &Bounds) {
         let Some(from) = self.end.or(Some(to)).filter(|_| is_finite(&to)) else {
             return;
         };
@@ -296,8 +298,9 @@ impl Drawing {
         let Ok(number) = u32::try_from(self.legs.len()) else {
             return;
         };
+        let touch_mm = [from, to].map(|[x, y, _]| bounds.touch_z_mm + cell.paper.rise_mm(x, y));
         self.legs
-            .push(Leg::new(from, to, pen_down, bounds.touch_z_mm).in_plan(bounds.plan_z_mm));
+            .push(Leg::new(from, to, pen_down, touch_mm).in_plan(bounds.plan_z_mm));
         let half_cells = (to[0] - from[0]).hypot(to[1] - from[1]) / (0.5 * CELL_MM);
         if half_cells.is_nan() || half_cells >= LONG_HALF_CELLS {
             self.is_too_much |= self.long.len() >= LONG_MAX;

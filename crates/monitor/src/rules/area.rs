@@ -82,6 +82,7 @@ impl Area {
 /// Distance of the tool from the work area, mm; negative inside.
 fn outside_mm(scene: &Scene<'_>, [x, y, z]: &Vector) -> f64 {
     let area = &scene.cell.work_area;
+    let low_mm = (scene.bounds.paper_low_mm + scene.cell.paper.rise_mm(*x, *y)).max(area.z_low_mm);
     let beyond = |value: &f64, [low, high]: [f64; 2]| (value - high).max(low - value);
     let of_box = beyond(x, area.x_mm).max(beyond(y, area.y_mm));
     let (x, y) = (x - area.centre_mm[0], y - area.centre_mm[1]);
@@ -92,7 +93,7 @@ fn outside_mm(scene: &Scene<'_>, [x, y, z]: &Vector) -> f64 {
         f64::NEG_INFINITY
     };
     let beside = (radius - area.radius_mm).max(hole).max(of_box);
-    beside.max(z - area.z_high_mm).max(scene.bounds.z_low_mm - z)
+    beside.max(z - area.z_high_mm).max(low_mm - z)
 }
 
 #[cfg(test)]

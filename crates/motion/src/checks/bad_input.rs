@@ -235,7 +235,7 @@ fn limits_of_zero_are_refused_and_never_moved_with() {
 #[test]
 fn contradictory_limits_are_refused_by_name() {
     type Change = fn(&mut Settings);
-    let contradictions: [(&str, Change); 6] = [
+    let contradictions: [(&str, Change); 7] = [
         ("work_area.z_low_mm", |settings| settings.work_area.z_low_mm = -600.0),
         ("motion.travel_tolerance_mm", |settings| {
             settings.motion.travel_tolerance_mm = 0.01
@@ -247,6 +247,7 @@ fn contradictory_limits_are_refused_by_name() {
         ("paper.pressing_depth_mm", |settings| {
             settings.paper.pressing_depth_mm = 200.0
         }),
+        ("paper.slope[1]", |settings| settings.paper.slope = [0.05, -0.11]),
         ("geometry.forearm_mm", |settings| {
             settings.geometry = Geometry::Delta(DeltaGeometry {
                 forearm_mm: 300.0,

@@ -276,6 +276,53 @@ fn moves_and_the_pen_keep_the_limits_and_unreachable_targets_are_refused() {
 }
 
 #[test]
+fn the_pen_is_lowered_to_a_sheet_that_is_not_level_and_lifted_from_where_it_lies() {
+    let mut settings = Settings::default();
+    settings.paper.slope = [0.02, -0.01];
+    let surface = |x: f64, y: f64| -850.0 + 0.02 * x - 0.01 * y;
+    for [x, y] in [[90.0, -90.0], [-90.0, 90.0], [80.0, 80.0]] {
+        let above = [x, y, surface(x, y) + 5.0];
+        let mut run = Run::new(&settings, &[vertex(above, Pen::Up, 0)]);
+        for (pen, lift_mm) in [(Pen::Down, 0.0), (Pen::Up, 3.0), (Pen::Down, 0.0)] {
+            run.command(MotionCommand::Pen(pen));
+            run.until(MotionState::Idle);
+            let expected = [x, y, surface(x, y) + lift_mm];
+            assert!(length(&subtract(&run.end(), &expected)) < 1.0e-6, "{pen:?} at {x}, {y}");
+        }
+        let mut admission = Admission::new(&settings).unwrap();
+        let pose = JointAngles(run.setpoints.last().unwrap().position_rad);
+        assert_eq!(admission.check_pen(&pose, Pen::Down), Ok(()));
+        admission.restart_at(&pose);
+        let below = [x, y, surface(x, y) - 1.01];
+        assert!(admission.check(0, &vertex(below, Pen::Down, 0)).is_err(), "{x}, {y}");
+        // A path that begins with the pen down elsewhere lifts it first.
+        run.path = [
+            vertex([0.0, 0.0, surface(0.0, 0.0) + 3.0], Pen::Up, 0),
+            vertex([0.0, 0.0, surface(0.0, 0.0)], Pen::Up, 0),
+            vertex([10.0, 0.0, surface(10.0, 0.0)], Pen::Down, 0),
+        ]
+        .to_vec();
+        run.pushed = 0;
+        let before = run.setpoints.len();
+        run.command(MotionCommand::Start);
+        run.until(MotionState::Idle);
+        let kinematics = Kinematics::new(&settings.geometry).unwrap();
+        let places: Vec<Vector> = run.setpoints[before..]
+            .iter()
+            .map(|at| kinematics.forward(&JointAngles(at.position_rad)).unwrap().into())
+            .collect();
+        let highest = places.iter().map(|[x, y, z]| z - surface(*x, *y)).fold(0.0, f64::max);
+        assert!((2.0..3.01).contains(&highest), "{highest}");
+        // It leaves its place straight up.
+        let drags = |[at_x, at_y, z]: &Vector| {
+            (at_x - x).hypot(at_y - y) > 1.0 && (at_x - 0.0).hypot(*at_y) > 11.0 && z - surface(*at_x, *at_y) < 1.5
+        };
+        assert!(!places.iter().any(drags), "{x}, {y}");
+        run.check_limits("tilted");
+    }
+}
+
+#[test]
 fn a_move_that_is_ended_brakes_at_once_and_within_the_limits() {
     let settings = Settings::default();
     let (from, to) = ([-100.0, 0.0, -800.0], [100.0, 40.0, -800.0]);

@@ -123,6 +123,7 @@ fn other_limits_hold_as_well() {
 
 #[test]
 fn the_stage_fits_its_memory_and_its_period() {
-    assert!(core::mem::size_of::<Trajectory>() <= 96 * 1024);
+    let bytes = core::mem::size_of::<Trajectory>();
+    assert!(bytes <= 96 * 1024, "{bytes} bytes");
     println!("{} bytes", core::mem::size_of::<Trajectory>());
 }

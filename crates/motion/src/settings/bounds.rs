@@ -2,7 +2,7 @@
 //!
 //! A bound that depends on another value expresses a relation between the two.
 
-use super::{Settings, WorkVolume};
+use super::{Paper, Settings, WorkVolume};
 use crate::bounds::{Bound, Violation, bound, first_violation};
 use crate::robots::Geometry;
 
@@ -13,7 +13,7 @@ const JOINT_ACCELERATION_MAX_RAD_S2: f64 = 2000.0;
 
 impl Settings {
     /// Number of rows in [`Settings::bounds`].
-    pub const BOUNDS: usize = Geometry::BOUNDS + 29;
+    pub const BOUNDS: usize = Geometry::BOUNDS + 31;
 
     /// Hard bounds of every value except the dead-man time, which is bounded by the settings of the bus.
     #[must_use]
@@ -62,6 +62,8 @@ impl Settings {
                 0.0,
                 paper.pen_down_z_mm - area.z_low_mm,
             ),
+            bound("paper.slope[0]", paper.slope[0], -Paper::SLOPE_MAX, Paper::SLOPE_MAX),
+            bound("paper.slope[1]", paper.slope[1], -Paper::SLOPE_MAX, Paper::SLOPE_MAX),
             bound("motion.speed_mm_s", motion.speed_mm_s, 1.0, 10_000.0),
             bound("motion.travel_speed_mm_s", motion.travel_speed_mm_s, 1.0, 10_000.0),
             bound("motion.acceleration_mm_s2", motion.acceleration_mm_s2, 10.0, 150_000.0),

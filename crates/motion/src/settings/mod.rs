@@ -17,12 +17,71 @@ pub struct Paper {
     pub centre_mm: [f64; 2],
     /// Width and height of the sheet, mm.
     pub size_mm: [f64; 2],
-    /// The platform's z when the pen draws, mm.
+    /// The platform's z when the pen draws at the sheet's centre, mm.
     pub pen_down_z_mm: f64,
     /// How far the pen is lifted between strokes, mm.
     pub pen_lift_mm: f64,
     /// How far below its drawing height the platform may go, mm.
     pub pressing_depth_mm: f64,
+    /// How far the sheet rises over 1 mm of x and of y, mm; 0 for a level sheet. A message carries it in 32 bits, which is
+    /// exact to 6 nm over a metre.
+    #[serde(with = "slope")]
+    pub slope: [f64; 2],
+}
+
+/// A slope with 64 bits in texts and with 32 bits in messages, whose room is short.
+mod slope {
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    pub(super) fn serialize<S: Serializer>(slope: &[f64; 2], serializer: S) -> Result<S::Ok, S::Error> {
+        if serializer.is_human_readable() {
+            slope.serialize(serializer)
+        } else {
+            slope.map(|part| part as f32).serialize(serializer)
+        }
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<[f64; 2], D::Error> {
+        if deserializer.is_human_readable() {
+            <[f64; 2]>::deserialize(deserializer)
+        } else {
+            <[f32; 2]>::deserialize(deserializer).map(|slope| slope.map(f64::from))
+        }
+    }
+}
+
+/// A plane in the robot's frame that is not upright.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Plane {
+    /// Its z at x = y = 0, mm.
+    pub z_mm: f64,
+    /// How far it rises over 1 mm of x and of y, mm.
+    pub slope: [f64; 2],
+}
+
+impl Plane {
+    /// The level plane through the origin.
+    pub const ZERO: Self = Self {
+        z_mm: 0.0,
+        slope: [0.0; 2],
+    };
+
+    /// Its z at a place, mm.
+    #[inline]
+    #[must_use]
+    pub fn z_at_mm(&self, x_mm: f64, y_mm: f64) -> f64 {
+        let [along_x, along_y] = self.slope;
+        self.z_mm + along_x * x_mm + along_y * y_mm
+    }
+
+    /// The plane that is this much higher, mm.
+    #[must_use]
+    pub fn raised(&self, by_mm: f64) -> Self {
+        Self {
+            z_mm: self.z_mm + by_mm,
+            ..*self
+        }
+    }
 }
 
 impl Default for Paper {
@@ -33,11 +92,31 @@ impl Default for Paper {
             pen_down_z_mm: -850.0,
             pen_lift_mm: 3.0,
             pressing_depth_mm: 1.0,
+            slope: [0.0; 2],
         }
     }
 }
 
 impl Paper {
+    /// Greatest slope of a sheet along x and along y: 5.4 degrees, a number that 32 bits hold exactly.
+    pub const SLOPE_MAX: f64 = 0.093_75;
+
+    /// Where the platform is when the pen draws.
+    #[must_use]
+    pub fn plane(&self) -> Plane {
+        let ([x_mm, y_mm], [along_x, along_y]) = (self.centre_mm, self.slope);
+        Plane {
+            z_mm: self.pen_down_z_mm - along_x * x_mm - along_y * y_mm,
+            slope: self.slope,
+        }
+    }
+
+    /// Whether the sheet is not level.
+    #[must_use]
+    pub fn is_tilted(&self) -> bool {
+        self.slope.iter().any(|slope| *slope != 0.0)
+    }
+
     /// A sheet of at most 200 mm in the middle of a volume, a third of its height above its lowest z. In a ring the
     /// sheet lies in front, half way between both radii.
     fn within(volume: &WorkVolume) -> Self {

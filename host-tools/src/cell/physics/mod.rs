@@ -11,10 +11,11 @@ mod sections;
 
 pub use file::{CellChoice, CellFileError};
 pub use sections::{
-    Backlash, Calibration, DeadTime, Friction, LoopKind, Payload, PositionLoop, Resolver, StructuralMode,
+    Backlash, Calibration, DeadTime, Friction, LoopKind, Payload, PositionLoop, Resolver, SheetPlace, StructuralMode,
     TorqueMeasurement, VelocityLoop,
 };
 
+use etherpen::config::Paper;
 use serde::{Deserialize, Serialize};
 
 /// Physical properties of a cell.
@@ -41,6 +42,9 @@ pub struct Physics {
     pub structural_mode: StructuralMode,
     /// Differences between the robot and its configuration.
     pub calibration: Calibration,
+    /// Where the sheet lies; without it, where the configuration says.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub sheet: Option<SheetPlace>,
 }
 
 /// A number of [`Physics`].
@@ -104,6 +108,7 @@ impl Physics {
         backlash: Backlash::NOMINAL,
         structural_mode: StructuralMode::NOMINAL,
         calibration: Calibration::NOMINAL,
+        sheet: None,
     };
     /// A robot that is hard to control.
     pub const PESSIMISTIC: Self = Self {
@@ -149,6 +154,7 @@ impl Physics {
             length_mm: 0.5,
             azimuth_mrad: 1.0,
         },
+        sheet: None,
     };
 
     /// All numbers in the order of the file, with their bounds.
@@ -203,7 +209,21 @@ impl Physics {
     /// The first number outside its bounds.
     pub fn check(&self) -> Result<(), Value> {
         let outside = |value: &Value| !(value.low..=value.high).contains(&value.value);
-        self.values().into_iter().find(outside).map_or(Ok(()), Err)
+        let sheet = self.sheet.as_ref().map(SheetPlace::values);
+        let mut all = self.values().into_iter().chain(sheet.into_iter().flatten());
+        all.find(outside).map_or(Ok(()), Err)
+    }
+
+    /// The sheet of a configuration as it really lies.
+    pub(super) fn paper(&self, configured: &Paper) -> Paper {
+        match self.sheet {
+            Some(SheetPlace { z_mm, slope_x, slope_y }) => Paper {
+                pen_down_z_mm: z_mm,
+                slope: [slope_x, slope_y],
+                ..*configured
+            },
+            None => *configured,
+        }
     }
 }
 

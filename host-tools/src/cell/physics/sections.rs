@@ -1,5 +1,6 @@
 //! The phenomena of a cell, one structure each, as the sections of its file name them.
 
+use super::Value;
 use serde::{Deserialize, Serialize};
 
 /// How a drive follows its velocity demand.
@@ -127,6 +128,38 @@ pub struct Calibration {
     pub length_mm: f64,
     /// Error of each azimuth, mrad.
     pub azimuth_mrad: f64,
+}
+
+/// Where the sheet lies in the robot's frame, whatever the configuration says.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SheetPlace {
+    /// The platform's z when the pen draws at the sheet's centre, mm.
+    pub z_mm: f64,
+    /// How far the sheet rises over 1 mm of x, mm.
+    #[serde(default)]
+    pub slope_x: f64,
+    /// How far the sheet rises over 1 mm of y, mm.
+    #[serde(default)]
+    pub slope_y: f64,
+}
+
+impl SheetPlace {
+    /// Its numbers with their bounds.
+    pub(super) fn values(&self) -> [Value; 3] {
+        let number = |name, unit, value, most: f64| Value {
+            name,
+            unit,
+            value,
+            low: -most,
+            high: most,
+        };
+        [
+            number("sheet.z_mm", "mm", self.z_mm, 10_000.0),
+            number("sheet.slope_x", "", self.slope_x, 0.5),
+            number("sheet.slope_y", "", self.slope_y, 0.5),
+        ]
+    }
 }
 
 impl VelocityLoop {

@@ -54,6 +54,18 @@ fn the_example_of_the_document_is_a_cell() {
 }
 
 #[test]
+fn a_sheet_lies_where_its_section_says_and_else_as_configured() {
+    let configured = Paper::default();
+    assert_eq!(Physics::PESSIMISTIC.paper(&configured), configured);
+    let physics: Physics = "[sheet]\nz_mm = -851.5\nslope_x = 0.0087".parse().expect("a sheet");
+    let paper = physics.paper(&configured);
+    assert_eq!((paper.pen_down_z_mm, paper.slope), (-851.5, [0.0087, 0.0]));
+    assert_eq!(paper.centre_mm, configured.centre_mm);
+    let text = toml::to_string(&physics).expect("a text");
+    assert_eq!(text.parse::<Physics>().expect("its own text"), physics);
+}
+
+#[test]
 fn a_written_cell_reads_as_itself_and_an_empty_file_is_nominal() {
     let text = toml::to_string(&Physics::PESSIMISTIC).expect("a text");
     assert_eq!(text.parse::<Physics>().expect("its own text"), Physics::PESSIMISTIC);
@@ -94,6 +106,11 @@ fn unknown_keys_and_values_outside_their_bounds_are_refused_by_name() {
         ("[dead_time]\ncommand_cycles = 21", "dead_time.command_cycles = 21"),
         ("[dead_time]\ncommand_cycles = -1", "command_cycles"),
         ("[payload", "payload"),
+        ("[sheet]\nslope_x = 0.01", "z_mm"),
+        (
+            "[sheet]\nz_mm = -850\nslope_y = 0.6",
+            "sheet.slope_y = 0.6 is outside its bounds of -0.5 to 0.5",
+        ),
     ] {
         let error = text.parse::<Physics>().expect_err(text).to_string();
         assert!(error.contains(part), "{text}: {error}");

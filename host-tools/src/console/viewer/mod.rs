@@ -400,6 +400,11 @@ impl Viewer {
                 hub.jobs.discard(job);
                 hub.say_jobs();
             }),
+            Request::Touch { action } => {
+                if let Err(why) = console.touch(action) {
+                    self.refuse(&why);
+                }
+            }
             Request::Measure { reset } => console.measure(reset),
             // All other requests were carried out before.
             _ => {}

@@ -23,13 +23,14 @@ pub fn around(path: &[Vertex], config: &Config) -> Option<(Vec<PathVertex>, [f64
         ]
     });
     let rectangle = vec![[low[0], high[1]], high, [high[0], low[1]], low];
+    let lifted = config.paper.plane().raised(config.paper.pen_lift_mm);
     let closed = |mut corners: Vec<[f64; 2]>| {
         corners.extend(corners.first().copied());
         let vertex = |&[x_mm, y_mm]: &[f64; 2]| Vertex {
             position: Position {
                 x_mm,
                 y_mm,
-                z_mm: config.paper.pen_down_z_mm + config.paper.pen_lift_mm,
+                z_mm: lifted.z_at_mm(x_mm, y_mm),
             },
             pen: Pen::Up,
             stroke: 0,

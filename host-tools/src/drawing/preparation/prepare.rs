@@ -96,6 +96,8 @@ pub fn refused(composed: &Composed, config: &Config) -> Result<Vec<RefusedStroke
         let Some(at) = off_sheet(stroke, config.paper.size_mm) else {
             continue;
         };
+        let x_mm = config.paper.centre_mm[0] + at[0] - 0.5 * config.paper.size_mm[0];
+        let y_mm = config.paper.centre_mm[1] - at[1] + 0.5 * config.paper.size_mm[1];
         let reason = DrawingError::OffSheet {
             x_um: (at[0] * 1_000.0) as i64,
             y_um: (at[1] * 1_000.0) as i64,
@@ -103,9 +105,9 @@ pub fn refused(composed: &Composed, config: &Config) -> Result<Vec<RefusedStroke
         result.push(RefusedStroke {
             stroke: number,
             position: Position {
-                x_mm: config.paper.centre_mm[0] + at[0] - 0.5 * config.paper.size_mm[0],
-                y_mm: config.paper.centre_mm[1] - at[1] + 0.5 * config.paper.size_mm[1],
-                z_mm: config.paper.pen_down_z_mm,
+                x_mm,
+                y_mm,
+                z_mm: config.paper.plane().z_at_mm(x_mm, y_mm),
             },
             reason: reason.to_string(),
         });
