@@ -165,6 +165,8 @@ pub struct Cell {
     /// nothing is disturbed, mm. 0.3 judges no more than `following_mm`; drives with a velocity loop of their own keep
     /// 0.02 in campaigns.
     pub undisturbed_mm: f64,
+    /// Acceleration of the tool by a drive that keeps its last torque, mm/s2; 0 without drives that take a torque.
+    pub kept_torque_mm_s2: f64,
     /// How long a joint may creep after a motion, ms. The position controller closes the last hundredths of a degree
     /// with a time constant of at most 25 ms: 100; motors in torque mode against the paper need 250.
     pub creep_ms: u32,
@@ -222,6 +224,7 @@ impl Default for Cell {
             travel_tolerance_mm: 0.5,
             following_mm: 0.3,
             undisturbed_mm: 0.3,
+            kept_torque_mm_s2: 0.0,
             creep_ms: 100,
             overshoot_part: 0.05,
             overshoot_mm_s: 20.0,

@@ -81,17 +81,22 @@ pub(crate) fn is_power_changing(motion: &Motion) -> bool {
 }
 
 /// How far the tool may slide if everything stops now, mm. Speeds count up to their limits. Drives that no telegram
-/// reaches brake when their watchdog expires.
+/// reaches brake when their watchdog expires; one that takes a torque keeps the last one until then, and accelerates.
 pub(crate) fn slide_mm(cell: &Cell, bounds: &Bounds, motion: &Motion, disturbances: &Disturbances) -> f64 {
     let reaction_ms = match disturbances.machine_disturbed() {
         true => bounds.watchdog_ms,
         false => bounds.reaction_ms,
     };
+    let kept_s = match disturbances.machine_disturbed() {
+        true => reaction_ms as f64 / 1_000.0,
+        false => 0.0,
+    };
+    let driven_mm = 0.5 * cell.kept_torque_mm_s2 * kept_s * kept_s;
     let ramps_s = motion.speeds_rad_s.iter().zip(&bounds.joints).take(motion.axes);
     let ramp_s = ramps_s.map(|(speed, joint)| speed.abs().min(joint.speed_rad_s) / joint.stop_rad_s2);
     let duration_s = reaction_ms as f64 / 1_000.0 + ramp_s.fold(0.0, f64::max);
     let fastest_mm_s = 2.0 * cell.tool_speed_mm_s.max(cell.travel_speed_mm_s);
-    SLIDE_MM + SLIDE_FACTOR * motion.tool_speed_mm_s.min(fastest_mm_s) * duration_s
+    SLIDE_MM + driven_mm + SLIDE_FACTOR * motion.tool_speed_mm_s.min(fastest_mm_s) * duration_s
 }
 
 const _: () = assert!(POWER_SETTLE_MS >= SETTLE_MS);

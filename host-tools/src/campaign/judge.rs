@@ -625,6 +625,11 @@ fn cell(config: &Config) -> monitor::Cell {
             true => UNDISTURBED_MM,
             false => following_mm(config),
         },
+        kept_torque_mm_s2: if by_torque(config) {
+            motion.acceleration_mm_s2
+        } else {
+            0.0
+        },
         creep_ms: if by_torque(config) {
             CREEP_BY_TORQUE_MS
         } else {
