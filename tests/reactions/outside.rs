@@ -57,6 +57,7 @@ fn beside(angle_rad: f64) -> Robot {
     config.work_area.radius_mm = RADIUS_MM;
     robot.configure(&config);
     assert_eq!(robot.configured.last().map(Result::is_ok), Some(true));
+    robot.wait_for(Mode::BusConfiguring);
     robot.wait_for(Mode::DrivesOff);
     // Bus and drives come back before the command is taken.
     robot.run_until("the bus is there", |robot| {
