@@ -70,8 +70,9 @@
 //! - The critical tasks do the same bounded work every millisecond, whatever arrives; they never lock, log or allocate.
 //! - A committed plan ends at rest: after a lost link, a late planner or an empty queue the robot comes to rest on the
 //!   path.
-//! - Every fault ends in one way: a stop, standstill, brakes, power off, latched until acknowledged ([`application`]). The
-//!   stop is on the path if the fault only orders it, and else the drives' quick stop ([`control::path_stop`]).
+//! - Every fault ends in one way: a stop, standstill, brakes, power off, latched until acknowledged ([`application`]). A
+//!   stop by command, late cycles or a stalled motion brakes along the path ([`control::path_stop`]); every other fault is
+//!   the drives' quick stop.
 //! - No `cfg` in this library selects a board; the library accesses no register of any microcontroller.
 #![no_std]
 #![forbid(unsafe_code)]

@@ -10,8 +10,8 @@
 //!
 //! Invariants: every released millisecond sends the outputs exactly once when the bus is configured; a drive gets a
 //! velocity other than zero, or another target position, only while it follows setpoints of the selected epoch; the first
-//! fault makes every following output a quick stop until the fault is cleared, at once or, if it only orders a stop, when
-//! the robot has braked on its path.
+//! fault makes every following output a quick stop until the fault is cleared, at once or, after late cycles, when the robot
+//! has braked on its path.
 
 mod absent;
 mod searching;

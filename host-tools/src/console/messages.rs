@@ -7,7 +7,6 @@
 use super::capture::Condition;
 use super::history::Bucket;
 use super::preparation::PageOptions;
-use super::sheet::TouchAction;
 use etherpen::messages::PathVertex;
 use etherpen::motion::Pen;
 use serde::de::Error;
@@ -130,6 +129,18 @@ pub enum Injection {
     Lose,
     /// Restart the firmware.
     Restart,
+}
+
+/// What the operator does to find where the sheet lies.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum TouchAction {
+    /// The pen touches the sheet where it is.
+    Add,
+    /// Forget the last touch.
+    Undo,
+    /// Store the sheet's place in the configuration file.
+    Store,
 }
 
 /// A request from the page.

@@ -4,27 +4,16 @@
 //! stays as it is: what is stored holds from the next start on.
 
 use super::hub::{Level, Topic};
+use super::messages::TouchAction;
 use super::{Console, lock};
 use crate::settings::sheet::{follows, found, store_sheet};
 use crate::touches::{PRESS_MM, TOUCHES_MIN, Touch, rise_mm, tilt_deg};
 use etherpen::config::{Config, Paper};
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
 use std::path::PathBuf;
 
 /// Most touches.
 const TOUCHES_MAX: usize = 50;
-
-/// What the operator does.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum TouchAction {
-    /// The pen touches the sheet where it is.
-    Add,
-    /// Forget the last touch.
-    Undo,
-    /// Store the sheet's place in the configuration file.
-    Store,
-}
 
 /// The touches so far.
 #[derive(Debug)]

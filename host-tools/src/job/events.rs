@@ -62,8 +62,9 @@ impl Job {
         if let Some(verifier) = &mut self.verifier {
             verifier.observe(&samples);
         }
+        // A short lift may lie in the middle of what one message tells.
         let pen_is_up = |sample: &Sample| sample.mode == Mode::Drawing && sample.pen == Pen::Up;
-        if self.hold_at_pen_up && self.sample.as_ref().is_some_and(pen_is_up) {
+        if self.hold_at_pen_up && samples.iter().any(pen_is_up) {
             self.hold_at_pen_up = false;
             self.session.command(Command::Hold);
         }
