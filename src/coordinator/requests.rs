@@ -206,15 +206,11 @@ impl Coordinator<'_> {
     }
 }
 
-/// A position with the pen up or down: nothing holds it between these heights, mm.
+/// A position with the pen up or down: nothing holds it between these heights, mm, and only a move to the lower one lowers it.
 fn up_or_down(position: Position, [down_mm, up_mm]: [f64; 2]) -> Position {
-    let z_mm = match position.z_mm {
-        z_mm if z_mm <= down_mm || z_mm >= up_mm => z_mm,
-        z_mm if z_mm < 0.5 * (down_mm + up_mm) => down_mm,
-        // Not a number is refused later.
-        z_mm if z_mm.is_finite() => up_mm,
-        z_mm => z_mm,
-    };
+    // Not a number is refused later.
+    let is_between = position.z_mm > down_mm && position.z_mm < up_mm;
+    let z_mm = if is_between { up_mm } else { position.z_mm };
     Position { z_mm, ..position }
 }
 

@@ -284,14 +284,14 @@ pub(crate) fn a_way_down_that_ends_above_the_paper_is_travel_and_leaves_no_ink()
         assert!((robot.cell().joints.0[0] - before).abs() > 0.1, "it has moved");
     };
     // Up, down to the height of a lifted pen, up again, a part of the way down, and below the lifted pen: nothing holds the
-    // pen there, and it is nearer to that height than to the paper.
+    // pen there, so that it stays up.
     for (x_mm, z_mm) in [
         (-60.0, 3.5),
         (60.0, 0.0),
         (-60.0, 3.0),
         (60.0, 1.0),
         (-60.0, -0.3),
-        (60.0, -0.9),
+        (60.0, -1.9),
     ] {
         go(x_mm, z_mm);
     }

@@ -50,6 +50,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 if is_known && self.resume(number).await.is_ok() {
                     return Ok(());
                 }
+                if !is_known {
+                    self.read_again(number).await.map_err(at(Step::Identify))?;
+                }
             }
             None => self.take_back(number, &places).await?,
         }
@@ -62,6 +65,19 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         self.reach_safe_operational(number).await?;
         self.send_plan().await;
         self.reach_operational(number).await
+    }
+
+    /// Reads the information memory of a terminal that was refused: what was read before may have been damaged.
+    async fn read_again(&mut self, number: usize) -> Result<(), BusError> {
+        let Some(station) = self.slaves.get(number).map(Slave::station) else {
+            return Ok(());
+        };
+        let fixed = information::fixed_part(&mut self.port, station).await?;
+        let known = self.check_returned(number, station, fixed.identity).await?;
+        if let Some(slave) = self.slaves.get_mut(number) {
+            (slave.fixed, slave.known) = (fixed, known);
+        }
+        Ok(())
     }
 
     /// The station addresses along the chain. Removes temporary ones, which interrupted work has left: two slaves with

@@ -298,8 +298,10 @@ impl Orders {
             }
             Command::Cancel => {
                 if self.cancelling.answer() && self.order != Order::None {
-                    let is_search = self.order == Order::Search;
+                    let (is_search, has_jogged) = (self.order == Order::Search, self.has_jogged);
                     self.begin(if is_search { Order::Search } else { Order::Ending });
+                    // A jog that is cancelled slows down; the next message of it is refused.
+                    self.has_jogged = has_jogged;
                     self.held = Some((now_ms, false));
                 }
             }

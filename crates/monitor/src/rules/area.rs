@@ -62,6 +62,10 @@ impl Area {
             self.found_mm = Some(outside_mm);
             return Ok(());
         };
+        if scene.orders.may_search() {
+            self.found_mm = Some(outside_mm);
+            return Ok(());
+        }
         let bound_mm = found_mm.max(0.0) + more_mm + scene.bounds.area_mm;
         if outside_mm > bound_mm {
             let [x, y, z] = tool;
