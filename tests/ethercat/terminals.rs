@@ -218,6 +218,51 @@ pub(crate) fn a_terminal_that_cannot_be_read_is_refused_and_the_drives_operate()
     }
 }
 
+/// Longest time until a terminal is back after an acknowledgement, ms.
+const REPAIR_MS: u32 = 6_000;
+
+/// When a terminal with a damaged memory loses its power for a moment.
+#[derive(Clone, Copy, Debug)]
+enum Interruption {
+    /// While the memory is damaged: the controller cannot load its configuration.
+    Damaged,
+    /// Once the memory is whole: what was read of it before is not true any more.
+    Whole,
+    /// Both.
+    Twice,
+}
+
+#[test]
+pub(crate) fn a_terminal_that_lost_power_with_a_damaged_memory_comes_back_once_it_is_whole() {
+    for interruption in [Interruption::Damaged, Interruption::Whole, Interruption::Twice] {
+        let mut rig = rig_of(
+            parse_slaves("ek1100,el1008,ax2000*4,el2004").unwrap(),
+            ExchangeKind::Split,
+        );
+        rig.cell.inject(Fault::Sii(2, SiiFault::Damaged));
+        rig.start();
+        if !matches!(interruption, Interruption::Whole) {
+            rig.cell.inject(Fault::Power(2, 133));
+        }
+        rig.wait_for(3 * BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+        rig.run_ms(20);
+        rig.cell.inject(Fault::Sii(2, SiiFault::Whole));
+        if !matches!(interruption, Interruption::Damaged) {
+            rig.cell.inject(Fault::Power(2, 133));
+        }
+        rig.run_ms(300);
+        rig.recover();
+        rig.run_ms(REPAIR_MS);
+        rig.cell.set_inputs(2, &[0x3C]);
+        rig.run_ms(THROUGH_MS);
+        assert_eq!(rig.input_bits(1, 0, 8), Some(0x3C), "{interruption:?}: {:#?}", rig.log);
+        rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
+        assert!(rig.set_output_bits(6, 0, 4, 0x6), "{interruption:?}");
+        rig.run_ms(THROUGH_MS);
+        assert_eq!(rig.cell.outputs(7), Some(vec![0x6]), "{interruption:?}");
+    }
+}
+
 #[test]
 pub(crate) fn a_chain_in_which_a_named_place_may_be_another_slave_waits_for_the_missing_one() {
     // Without the coupler, the outputs would stand at the place of the inputs.

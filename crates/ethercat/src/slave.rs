@@ -98,6 +98,11 @@ impl<F: SlaveFactory> Slave<F> {
         self.member.is_some() || self.is_terminal
     }
 
+    /// Whether it is a terminal whose process data could not be found: what was read of it before may have been damaged.
+    pub const fn is_refused_terminal(&self) -> bool {
+        self.is_terminal && self.own_data.is_none()
+    }
+
     /// Whether its process data are those that the slave itself describes: it is a terminal, or has no driver.
     pub const fn has_own_data(&self) -> bool {
         self.is_terminal || self.device.is_none()

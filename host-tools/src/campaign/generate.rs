@@ -7,9 +7,11 @@ use super::chance::Chance;
 use super::episode::{Episode, Event, Figure, What, Wish};
 use super::machine::Machine;
 use super::{figures, trouble};
+use crate::settings::checking;
 use clap::ValueEnum;
+use etherpen::config::{Config, PenLiftKind};
 use etherpen::messages::Command;
-use etherpen::motion::Pen;
+use etherpen::motion::{Pen, WorkArea};
 use etherpen::robots::Position;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -75,6 +77,10 @@ pub fn episode(machine: &Machine, seed: u64, profile: Profile) -> Episode {
     if !is_by_torque && Chance::new(seed ^ POSITION_SEED).one_in(6) {
         by_position(&mut episode, machine);
     }
+    let mut tilting = Chance::new(seed ^ TILT_SEED);
+    if machine.config.pen.kind == PenLiftKind::Axis && tilting.one_in(4) {
+        tilt(&mut episode, &mut tilting);
+    }
     match profile {
         Profile::Terminals if machine.chain.terminals.is_empty() => with_terminals(&mut episode, machine),
         Profile::Cables => with_serial_numbers(&mut episode, machine),
@@ -127,6 +133,22 @@ fn by_position(episode: &mut Episode, machine: &Machine) {
         episode.config.insert(format!("axes.{axis}.mode"), mode);
         let gain = Value::Float(POSITION_GAIN_PER_S);
         episode.config.insert(format!("axes.{axis}.feedback_gain_per_s"), gain);
+    }
+}
+
+/// Lets the sheet lie aslant, as far as the machine reaches all of it.
+fn tilt(episode: &mut Episode, chance: &mut Chance) {
+    let mut part = || {
+        let steep = chance.scaled(1.0e-4, TILT_MAX);
+        (steep * if chance.one_in(2) { 1.0e6 } else { -1.0e6 }).round() / 1.0e6
+    };
+    let slope = vec![Value::Float(part()), Value::Float(part())];
+    episode.config.insert("paper.slope".into(), Value::Array(slope));
+    let is_reached = |config: &Config| {
+        WorkArea::new(&config.motion_settings()).is_ok_and(|area| checking::unreached(config, &area).is_none())
+    };
+    if !episode.configuration().is_ok_and(|config| is_reached(&config)) {
+        episode.config.remove("paper.slope");
     }
 }
 
@@ -408,6 +430,10 @@ const TORQUE_GAIN_PER_S: f64 = 40.0;
 const POSITION_GAIN_PER_S: f64 = 100.0;
 /// Gives the choice of position mode random numbers of its own.
 const POSITION_SEED: u64 = 0x0005_1710_0000;
+/// Gives the tilt of the sheet random numbers of its own.
+const TILT_SEED: u64 = 0x0711_7000_0000;
+/// Steepest sheet along each side, mm for each mm.
+const TILT_MAX: f64 = 0.03;
 
 #[cfg(test)]
 mod tests {
@@ -438,6 +464,21 @@ mod tests {
                 }
             }
             assert!(values > 200, "{}: {values} values of the configuration", machine.name);
+        }
+    }
+
+    #[test]
+    fn sheets_lie_aslant_where_the_pen_has_an_axis() {
+        for machine in MACHINES.map(|machine| self::machine(machine.name)) {
+            let tilts = (0..200).filter(|seed| {
+                let config = episode(&machine, *seed, Profile::Quiet).configuration();
+                config.expect("a valid configuration").paper.slope != [0.0; 2]
+            });
+            let tilts = tilts.count();
+            match machine.config.pen.kind {
+                PenLiftKind::Axis => assert!(tilts > 15, "{}: {tilts} of 200", machine.name),
+                _ => assert_eq!(tilts, 0, "{}", machine.name),
+            }
         }
     }
 

@@ -97,6 +97,29 @@ pub async fn give_to_slave<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESS
     let _ = port.answered(&request).await;
 }
 
+/// Has a slave's controller load its configuration from the SII once more, if it could not at power-up: without it,
+/// neither device emulation nor the interface of the slave's processor works, and nobody reads a request for a state.
+/// A memory that is damaged for good changes nothing.
+pub async fn load_again<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, station: u16) {
+    let Ok(status) = port.read(station, register::SII_CONTROL, 2).await else {
+        return;
+    };
+    if read_u16(&status, 0) & (register::SII_CHECKSUM_ERROR | register::SII_LOADING) == 0 {
+        return;
+    }
+    take(port, station).await;
+    let address = Address::station(station, register::SII_CONTROL);
+    let reload = Request::write(Command::Fpwr, address, &register::SII_RELOAD.to_le_bytes());
+    let _ = port.answered(&reload).await;
+    let started_ms = port.now_ms();
+    while let Ok(status) = port.read(station, register::SII_CONTROL, 2).await {
+        let waited_ms = port.now_ms().wrapping_sub(started_ms);
+        if read_u16(&status, 0) & register::SII_BUSY == 0 || waited_ms > SII_TIMEOUT_MS {
+            break;
+        }
+    }
+}
+
 /// Takes a slave's SII for the master, by force.
 pub async fn take<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, station: u16) {
     take_all(port, station..station.wrapping_add(1)).await;

@@ -225,7 +225,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     }
 
     /// Takes a slave to a state, from the state before it or from a higher one. While the slave's processor does not read
-    /// the request, the application is told what this waits for.
+    /// the request, the application is told what this waits for, and a controller without its configuration loads it.
     async fn change_state(&mut self, number: usize, target: AlState, step: Step) -> Result<(), Failure> {
         let Some(position) = self.slaves.get(number).map(|slave| slave.position) else {
             return Ok(());
@@ -248,6 +248,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 waited_ms,
             })
             .await;
+            information::load_again(&mut self.port, station).await;
         }
     }
 

@@ -45,8 +45,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         match places.iter().position(|there| *there == station) {
             Some(place) => {
                 self.is_in_order(&places, place, number).map_err(at(Step::Locate))?;
-                // The process data of a terminal that was refused are not known.
-                let is_known = !slave.is_terminal || slave.own_data.is_some();
+                let is_known = !slave.is_refused_terminal();
                 if is_known && self.resume(number).await.is_ok() {
                     return Ok(());
                 }
@@ -203,11 +202,10 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     /// Notes the slave that has taken the place of one that was not wanted there.
     fn take_place(&mut self, number: usize, fixed: FixedPart, known: KnownIdentity) {
         if let Some(slave) = self.slaves.get_mut(number) {
-            slave.known = known;
             if slave.fixed.identity != fixed.identity {
-                (slave.fixed, slave.device) = (fixed, F::by_identity(&fixed.identity));
-                slave.process_data = None;
+                (slave.device, slave.process_data) = (F::by_identity(&fixed.identity), None);
             }
+            (slave.fixed, slave.known) = (fixed, known);
         }
     }
 
@@ -348,7 +346,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     /// Whether a slave with this identity may take a slave's place.
     pub(super) fn is_same(&self, slave: &Slave<F>, identity: &Identity) -> Result<(), BusError> {
         let (old, new) = (slave.identity(), identity);
-        if (old.vendor, old.product) != (new.vendor, new.product) && !self.is_unwanted(slave) {
+        let may_differ = slave.is_refused_terminal() || self.is_unwanted(slave);
+        if (old.vendor, old.product) != (new.vendor, new.product) && !may_differ {
             return Err(BusError::Identity {
                 expected: old.product,
                 actual: new.product,

@@ -51,6 +51,8 @@ pub(crate) struct Orders {
     /// When the order that permitted power ended, ms.
     pub(crate) power_ended_ms: Option<u64>,
     pub(crate) order: Order,
+    /// Whether the present order is a search that nothing has confirmed yet.
+    is_search_guessed: bool,
     /// Since when the motion has to come to rest, and whether for a silent host.
     held: Option<(u64, bool)>,
     moving: Pending,
@@ -113,6 +115,7 @@ impl Orders {
         }
         if self.searching.take_lost(now_ms) {
             self.begin(Order::Search);
+            self.is_search_guessed = true;
         }
         let is_path_lost = self.path.take_lost(now_ms);
         if is_path_lost {
@@ -221,6 +224,8 @@ impl Orders {
                 }
             }
             Report::Homed(is_homed) => {
+                // A search begins with it.
+                self.is_search_guessed &= is_homed;
                 self.is_homed = *is_homed;
                 if !is_homed {
                     self.unhomed_ms = Some(now_ms);
@@ -337,6 +342,7 @@ impl Orders {
 
     fn begin(&mut self, order: Order) {
         self.order = order;
+        self.is_search_guessed = false;
         self.held = None;
         self.has_jogged = false;
     }
@@ -413,6 +419,11 @@ impl Orders {
     /// Whether the axes may be on their way to their home switches.
     pub(crate) fn may_search(&self) -> bool {
         self.order == Order::Search || self.searching.is_waiting()
+    }
+
+    /// Whether the axes are on their way to their home switches, as the controller has confirmed.
+    pub(crate) fn is_search_known(&self) -> bool {
+        self.order == Order::Search && !self.is_search_guessed
     }
 
     /// Whether a drawing, or its continuation, was ordered and is not answered.

@@ -156,6 +156,26 @@ mod tests {
     }
 
     #[test]
+    fn a_sheet_that_lies_aslant_takes_the_lower_border_with_it() {
+        let pressed = |slope: [f64; 2], below_mm: f64| {
+            let mut cell = Cell::default();
+            cell.paper.slope = slope;
+            // No pen is in the holder.
+            cell.paper.pen_spring_mm = -100.0;
+            let sheet_mm = cell.paper.pen_down_z_mm + slope[0] * 60.0 + slope[1] * -50.0;
+            let low_mm = cell.paper.pressing_depth_mm + below_mm;
+            let mut rig = Rig::with(cell).at_height(-840.0).in_motion();
+            rig.go_to([60.0, -50.0, -840.0], 400)?;
+            rig.go_to([60.0, -50.0, sheet_mm - low_mm], 400)
+        };
+        for slope in [[0.0; 2], [0.03, -0.02], [-0.03, 0.02], [0.02, 0.03]] {
+            assert_eq!(pressed(slope, -0.1), Ok(()), "{slope:?}");
+            let found = pressed(slope, 2.5);
+            assert!(broken(&found, Rule::Area), "{slope:?}: {found:?}");
+        }
+    }
+
+    #[test]
     fn the_box_and_the_hole_around_the_axis_are_borders_too() {
         let around = |work_area: WorkArea| Cell {
             work_area,

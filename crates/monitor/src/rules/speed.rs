@@ -42,14 +42,14 @@ impl Speed {
             self.too_fast_ms = 0;
             return Ok(());
         }
-        if scene.orders.may_search() {
+        if scene.orders.is_search_known() {
             self.too_fast_ms = 0;
-            // Until the order is answered, an earlier motion may go on.
-            let is_known = scene.orders.order == Order::Search;
-            return if is_known { search(scene) } else { Ok(()) };
+            return search(scene);
         }
         let (speed, bound) = tool(scene);
-        self.too_fast_ms = if speed > bound { self.too_fast_ms + 1 } else { 0 };
+        // A search that nobody has confirmed may go on, or another motion.
+        let is_too_fast = speed > bound && !(scene.orders.may_search() && search(scene).is_ok());
+        self.too_fast_ms = if is_too_fast { self.too_fast_ms + 1 } else { 0 };
         if self.too_fast_ms < TOO_FAST_MS {
             return Ok(());
         }
@@ -140,6 +140,19 @@ mod tests {
         };
         assert_eq!(searching(0.6), Ok(()));
         let found = searching(0.7);
+        assert!(broken(&found, Rule::Speed), "{found:?}");
+    }
+
+    #[test]
+    fn while_a_search_is_not_answered_another_motion_keeps_its_own_limit() {
+        let asked = |speed_rad_s: f64| {
+            let mut rig = Rig::moving();
+            rig.input(Input::Commanded(Command::Search));
+            rig.accelerate_to(speed_rad_s);
+            rig.run(60)
+        };
+        assert_eq!(asked(0.5), Ok(()));
+        let found = asked(5.0);
         assert!(broken(&found, Rule::Speed), "{found:?}");
     }
 

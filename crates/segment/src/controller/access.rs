@@ -275,7 +275,7 @@ impl Controller {
 
     fn write_registers(&mut self, start: usize, data: &[u8]) -> bool {
         let before = Before {
-            unread: self.al_request.is_some(),
+            unread: self.al_request.is_some() && !self.is_emulated(),
             offered: self.offers_sii(),
             loops: self.byte(register::DL_CONTROL + 1),
         };

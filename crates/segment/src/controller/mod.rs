@@ -207,9 +207,9 @@ impl Controller {
         self.store(register::FEATURES, &silicon.feature_register().to_le_bytes());
     }
 
-    /// Loads the configuration from the information memory, if its checksum is correct.
+    /// Takes over the configuration from the information memory, if its checksum was correct.
     fn load_configuration(&mut self) {
-        if !self.eeprom.is_valid() {
+        if !self.eeprom.is_loaded() {
             return;
         }
         let words = [WORD_PDI_CONTROL, WORD_PULSE_LENGTH, WORD_ALIAS].map(|at| self.eeprom.word(at));
@@ -445,7 +445,7 @@ impl Controller {
         self.kept_closed |= self.links & !links;
         self.links = links;
         let has_interface = self.byte(register::PDI_CONTROL) != 0;
-        let mut status = u16::from(self.eeprom.is_valid()) | u16::from(self.processor_alive && has_interface) << 1;
+        let mut status = u16::from(self.eeprom.is_loaded()) | u16::from(self.processor_alive && has_interface) << 1;
         for port in 0..PORTS as u16 {
             let linked = u16::from(links) >> port & 1;
             let closed = u16::from(!self.is_open(port as u8));

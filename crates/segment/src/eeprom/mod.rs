@@ -36,7 +36,8 @@ const COMMAND_MASK: u16 = 0x0700;
 const COMMAND_READ: u16 = wire::SII_READ;
 const COMMAND_WRITE: u16 = wire::SII_WRITE;
 const COMMAND_RELOAD: u16 = 0x0400;
-const ERROR_CHECKSUM: u16 = wire::SII_CHECKSUM_ERROR;
+/// Bits that show a load of the configuration area that failed.
+const NOT_LOADED: u16 = wire::SII_CHECKSUM_ERROR | wire::SII_LOADING;
 const ERROR_COMMAND: u16 = wire::SII_ACKNOWLEDGE_ERROR;
 const ERROR_WRITE_ENABLE: u16 = wire::SII_WRITE_ERROR;
 const BUSY: u16 = wire::SII_BUSY;
@@ -71,6 +72,8 @@ pub(crate) struct Eeprom {
     flags: u16,
     /// Whether the slave's processor has the memory.
     held: bool,
+    /// Whether the checksum of the configuration area was correct when the controller loaded it last.
+    is_loaded: bool,
 }
 
 impl Eeprom {
@@ -85,6 +88,7 @@ impl Eeprom {
             fault: SiiFault::Whole,
             flags,
             held: false,
+            is_loaded: false,
         }
     }
 
@@ -93,8 +97,14 @@ impl Eeprom {
         self.pending = 0;
         self.write_enabled = false;
         self.held = false;
+        self.is_loaded = self.is_valid();
         self.set_status(registers, 0);
         self.own(registers);
+    }
+
+    /// Whether the controller could load the configuration area, at power-up or by a later command.
+    pub(crate) fn is_loaded(&self) -> bool {
+        self.is_loaded
     }
 
     /// The slave's processor takes the memory, or gives it back.
@@ -115,7 +125,7 @@ impl Eeprom {
     }
 
     /// Whether the checksum of the configuration area is correct.
-    pub(crate) fn is_valid(&self) -> bool {
+    fn is_valid(&self) -> bool {
         self.byte(2 * usize::from(WORD_CHECKSUM)) == {
             let area: Vec<u8> = (0..2 * usize::from(WORD_CHECKSUM)).map(|at| self.byte(at)).collect();
             checksum(&area)
@@ -189,7 +199,7 @@ impl Eeprom {
                 let place = self.image.iter_mut().skip(start).take(2);
                 place.zip(data).for_each(|(target, source)| *target = *source);
             }
-            COMMAND_RELOAD => {}
+            COMMAND_RELOAD => self.is_loaded = self.is_valid(),
             _ => status = ERROR_COMMAND,
         }
         self.write_enabled = false;
@@ -212,8 +222,8 @@ impl Eeprom {
     }
 
     fn set_status(&self, registers: &mut [u8], status: u16) {
-        let checksum = if self.is_valid() { 0 } else { ERROR_CHECKSUM };
-        set_word(registers, CONTROL, self.flags | checksum | status);
+        let loaded = if self.is_loaded { 0 } else { NOT_LOADED };
+        set_word(registers, CONTROL, self.flags | loaded | status);
     }
 }
 
@@ -299,9 +309,9 @@ mod tests {
         for (fault, status, first) in [
             (SiiFault::Busy, READS_EIGHT_BYTES | BUSY | COMMAND_READ, 0),
             (SiiFault::Acknowledge, READS_EIGHT_BYTES | ERROR_COMMAND, 0),
-            (SiiFault::Blank, READS_EIGHT_BYTES | ERROR_CHECKSUM, 0xFF),
+            (SiiFault::Blank, READS_EIGHT_BYTES, 0xFF),
             (SiiFault::Owned, READS_EIGHT_BYTES | ERROR_COMMAND, 0),
-            (SiiFault::Damaged, READS_EIGHT_BYTES | ERROR_CHECKSUM, 8),
+            (SiiFault::Damaged, READS_EIGHT_BYTES, 8),
             (SiiFault::Whole, READS_EIGHT_BYTES, 8),
         ] {
             let mut registers = registers(COMMAND_READ, 4);
@@ -310,6 +320,20 @@ mod tests {
             set_word(&mut registers, CONTROL, COMMAND_READ);
             assert_eq!(run(&mut eeprom, &mut registers), status, "{fault:?}");
             assert_eq!(registers[DATA], first, "{fault:?}");
+        }
+    }
+
+    #[test]
+    fn a_failed_load_shows_until_the_next_one_with_a_whole_memory() {
+        let mut eeprom = Eeprom::new(image(), BUSY_NS, READS_EIGHT_BYTES);
+        let mut registers = registers(COMMAND_READ, 4);
+        eeprom.set_fault(SiiFault::Damaged, &mut registers);
+        eeprom.reset(&mut registers);
+        assert_eq!(word(&registers, CONTROL), READS_EIGHT_BYTES | NOT_LOADED);
+        eeprom.set_fault(SiiFault::Whole, &mut registers);
+        for (command, loaded) in [(COMMAND_READ, NOT_LOADED), (COMMAND_RELOAD, 0)] {
+            set_word(&mut registers, CONTROL, command);
+            assert_eq!(run(&mut eeprom, &mut registers), READS_EIGHT_BYTES | loaded);
         }
     }
 

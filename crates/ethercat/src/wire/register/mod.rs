@@ -149,7 +149,7 @@ pub const SII_RELOAD: u16 = 1 << 10;
 pub const SII_WRITE_ENABLE: u16 = 1 << 0;
 /// [`SII_CONTROL`]: the checksum of the configuration area is wrong.
 pub const SII_CHECKSUM_ERROR: u16 = 1 << 11;
-/// [`SII_CONTROL`]: the configuration area has not been loaded yet.
+/// [`SII_CONTROL`]: the configuration area has not been loaded: not yet, or its checksum is wrong.
 pub const SII_LOADING: u16 = 1 << 12;
 /// [`SII_CONTROL`]: the memory did not acknowledge, or the command was invalid.
 pub const SII_ACKNOWLEDGE_ERROR: u16 = 1 << 13;
