@@ -40,6 +40,9 @@ pub struct Surroundings {
 
 /// The host's end of the link.
 pub trait Host {
+    /// Takes the firmware's bytes of a millisecond, before [`milliseconds`] pauses and [`Self::exchange`] follows.
+    fn hear(&mut self, _ms: u32, _from_firmware: &[u8]) {}
+
     /// Advances by one millisecond: takes the firmware's bytes and appends at most `room` bytes for the firmware.
     fn exchange(&mut self, ms: u32, from_firmware: &[u8], to_firmware: &mut Vec<u8>, room: usize);
 
@@ -126,6 +129,18 @@ impl<'c> Driver for Wire<'c> {
 ///
 /// Returns the virtual milliseconds that have passed.
 pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
+    let mut running = std::pin::pin!(milliseconds(cell, host, limit_ms));
+    loop {
+        if let Poll::Ready(passed_ms) = running.as_mut().poll(&mut Context::from_waker(Waker::noop())) {
+            return passed_ms;
+        }
+    }
+}
+
+/// As [`run`], and pauses once in each millisecond: whoever polls it decides between two polls, with what
+/// [`Host::hear`] was told, what [`Host::exchange`] answers. A caller that leads the robot step by step needs no second
+/// thread.
+pub async fn milliseconds(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
     let black_box = Box::new(Memory::new());
     black_box.start(Keep::Nothing);
     let mut channels = Box::new(Channels::new());
@@ -177,6 +192,8 @@ pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
         host.feedback_used(sampler.feedback_used());
 
         let sent = host_bytes.to_send(&mut from_firmware);
+        host.hear(ms, &from_firmware[..sent]);
+        pause().await;
         host.exchange(ms, &from_firmware[..sent], &mut to_firmware, LINE_BYTES_PER_MS);
         host_bytes.received(&to_firmware);
         to_firmware.clear();
@@ -194,4 +211,14 @@ pub fn run(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms: u32) -> u32 {
         }
     }
     limit_ms
+}
+
+/// Returns to whoever polls, once.
+async fn pause() {
+    let mut paused = false;
+    std::future::poll_fn(|_| match std::mem::replace(&mut paused, true) {
+        true => Poll::Ready(()),
+        false => Poll::Pending,
+    })
+    .await;
 }

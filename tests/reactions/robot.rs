@@ -16,8 +16,10 @@ use host_tools::emulator::{Emulator, Link, Options};
 use host_tools::link::session::{Event, Session};
 use host_tools::setup;
 use host_tools::simulation::{self, Host, Surroundings};
+use std::pin::Pin;
 use std::sync::mpsc::{Receiver, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
+use std::task::{Context, Poll, Waker};
 
 /// Longest wait for anything, ms of virtual time.
 const WAIT_MAX_MS: u32 = 60_000;
@@ -39,11 +41,14 @@ struct Bridge {
 pub(crate) type Used = [f32; COMPARISONS.len()];
 
 impl Host for Bridge {
-    fn exchange(&mut self, ms: u32, from_firmware: &[u8], to_firmware: &mut Vec<u8>, _: usize) {
-        let said = self.up.send((ms, from_firmware.to_vec()));
-        match self.down.recv() {
-            Ok(bytes) if said.is_ok() => to_firmware.extend(bytes),
-            _ => self.over = true,
+    fn hear(&mut self, ms: u32, from_firmware: &[u8]) {
+        self.over = self.up.send((ms, from_firmware.to_vec())).is_err();
+    }
+
+    fn exchange(&mut self, _: u32, _: &[u8], to_firmware: &mut Vec<u8>, _: usize) {
+        match self.down.try_recv() {
+            Ok(bytes) => to_firmware.extend(bytes),
+            Err(_) => self.over = true,
         }
     }
 
@@ -63,8 +68,21 @@ impl Host for Bridge {
 
 impl Link for Bridge {
     fn exchange(&mut self, ms: u32, from_device: &[u8], to_device: &mut Vec<u8>) {
-        Host::exchange(self, ms, from_device, to_device, LINE_BYTES_PER_MS);
+        // The operator answers in a thread of its own; once it is gone, nobody does.
+        if self.up.send((ms, from_device.to_vec())).is_ok()
+            && let Ok(bytes) = self.down.recv()
+        {
+            to_device.extend(bytes);
+        }
     }
+}
+
+/// What runs the firmware.
+enum Firmware {
+    /// Its tasks, here, a millisecond for each poll.
+    Tasks(Pin<Box<dyn Future<Output = u32>>>),
+    /// The board's image. The emulator ends when it is dropped.
+    Board(#[expect(dead_code, reason = "held for its end")] Emulator),
 }
 
 /// A line that periodically loses the first bytes of a millisecond.
@@ -113,7 +131,7 @@ pub(crate) struct Robot {
     /// Answers to bus requests.
     pub(crate) bus_answers: Vec<ServiceResult>,
     /// The last field: the emulator ends when nobody answers it.
-    _emulator: Option<Emulator>,
+    firmware: Firmware,
 }
 
 impl Robot {
@@ -125,8 +143,8 @@ impl Robot {
     /// A robot in virtual time with this configuration and cell, which waits for its configuration.
     pub(crate) fn of(config: &Config, options: CellOptions) -> Self {
         Self::start(config, options, |mut segment, mut bridge| {
-            std::thread::spawn(move || simulation::run(&mut segment, &mut bridge, u32::MAX - 1));
-            None
+            let tasks = async move { simulation::milliseconds(&mut segment, &mut bridge, u32::MAX).await };
+            Firmware::Tasks(Box::pin(tasks))
         })
     }
 
@@ -136,15 +154,11 @@ impl Robot {
         let image = setup::build_firmware("emulated").expect("the firmware builds");
         Self::start(&Config::default(), CellOptions::default(), |segment, bridge| {
             let emulator = Emulator::start(&image, &Options::default(), segment, bridge, |_| {});
-            Some(emulator.expect("the emulator starts"))
+            Firmware::Board(emulator.expect("the emulator starts"))
         })
     }
 
-    fn start(
-        config: &Config,
-        options: CellOptions,
-        run: impl FnOnce(Arc<Mutex<Cell>>, Bridge) -> Option<Emulator>,
-    ) -> Self {
+    fn start(config: &Config, options: CellOptions, run: impl FnOnce(Arc<Mutex<Cell>>, Bridge) -> Firmware) -> Self {
         let cell = Arc::new(Mutex::new(Cell::new(config, options)));
         let ((up_in, up), (down, down_out)) = (sync_channel(1), sync_channel(1));
         let surroundings = Arc::new(Mutex::new(Surroundings::default()));
@@ -156,7 +170,7 @@ impl Robot {
             used: Arc::clone(&used),
             over: false,
         };
-        let emulator = run(cell.clone(), bridge);
+        let firmware = run(cell.clone(), bridge);
         let mut session = Session::new(7);
         session.connect();
         Self {
@@ -182,7 +196,7 @@ impl Robot {
             refused: Vec::new(),
             answers: Vec::new(),
             bus_answers: Vec::new(),
-            _emulator: emulator,
+            firmware,
         }
     }
 
@@ -374,7 +388,7 @@ impl Robot {
     /// Lets virtual time pass.
     pub(crate) fn run(&mut self, duration_ms: u32) {
         for _ in 0..duration_ms {
-            let next = self.next.take().or_else(|| self.up.recv().ok());
+            let next = self.next.take().or_else(|| self.next_message());
             let (ms, bytes) = next.expect("the simulation runs");
             let now_ms = u64::from(ms);
             let mut line = [0; LINE_BYTES_PER_MS];
@@ -399,7 +413,18 @@ impl Robot {
             self.down
                 .send(line[lost..length].to_vec())
                 .expect("the simulation runs");
-            self.next = self.up.recv().ok();
+            self.next = self.next_message();
+        }
+    }
+
+    /// Runs the firmware until it has said what it says in a millisecond.
+    fn next_message(&mut self) -> Option<(u32, Vec<u8>)> {
+        match &mut self.firmware {
+            Firmware::Tasks(tasks) => match tasks.as_mut().poll(&mut Context::from_waker(Waker::noop())) {
+                Poll::Pending => self.up.try_recv().ok(),
+                Poll::Ready(_) => None,
+            },
+            Firmware::Board(_) => self.up.recv().ok(),
         }
     }
 

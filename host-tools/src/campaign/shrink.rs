@@ -10,6 +10,9 @@ const TRIES_MAX: usize = 400;
 /// Time that stays behind a failure before the healing, ms.
 const REST_MS: u32 = 10;
 
+/// The healing is not moved by less than this, ms.
+const HEALING_STEP_MS: u32 = 100;
+
 /// The search for a smaller episode.
 struct Search<'p> {
     best: Episode,
@@ -61,14 +64,31 @@ impl Search<'_> {
         }
     }
 
-    /// Ends the episode when it fails, and moves events to earlier times.
-    fn shorten(&mut self) {
-        if self.failure.rule != Rule::Liveness && self.failure.time_ms < self.best.duration_ms {
-            let mut shorter = self.best.clone();
-            shorter.duration_ms = self.failure.time_ms + REST_MS;
-            shorter.events.retain(|event| event.at_ms <= shorter.duration_ms);
-            self.attempt(shorter);
+    /// Ends the episode when it fails, or heals it soon after its last event.
+    fn end_earlier(&mut self) {
+        if self.failure.rule != Rule::Liveness {
+            if self.failure.time_ms < self.best.duration_ms {
+                let mut shorter = self.best.clone();
+                shorter.duration_ms = self.failure.time_ms + REST_MS;
+                shorter.events.retain(|event| event.at_ms <= shorter.duration_ms);
+                self.attempt(shorter);
+            }
+            return;
         }
+        let least_ms = self.best.events.last().map_or(0, |event| event.at_ms) + REST_MS;
+        let mut step_ms = self.best.duration_ms.saturating_sub(least_ms);
+        while step_ms > HEALING_STEP_MS {
+            let mut shorter = self.best.clone();
+            shorter.duration_ms -= step_ms;
+            step_ms = match self.attempt(shorter) {
+                true => step_ms.min(self.best.duration_ms.saturating_sub(least_ms)),
+                false => step_ms / 2,
+            };
+        }
+    }
+
+    /// Moves events to earlier times.
+    fn shorten(&mut self) {
         for index in 0..self.best.events.len() {
             let floor_ms = if index == 0 {
                 0
@@ -135,6 +155,7 @@ pub fn shrink(episode: &Episode, progress: &mut dyn FnMut(usize)) -> Option<(Epi
     };
     loop {
         let before = search.best.clone();
+        search.end_earlier();
         search.remove(|episode| &mut episode.events);
         search.remove(|episode| &mut episode.wishes);
         search.reset_values();

@@ -118,7 +118,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
 /// Feature of the firmware of `tests/panic.rs`.
 const PANICS: &str = "panic-while-drawing";
 /// Cycles of the latency run.
-const LATENCY_CYCLES: u64 = 100_000;
+const LATENCY_CYCLES: u64 = 50_000;
 /// Figures that every verification checks against their bounds.
 const IN_TIME: [&str; 3] = ["cycles_late", "frames_lost", "release_jitter"];
 
