@@ -325,7 +325,10 @@ pub(crate) fn a_refused_terminal_that_is_brought_to_op_by_a_request_is_read_agai
 
 #[test]
 pub(crate) fn a_refused_terminal_and_its_neighbour_that_returns_first_are_not_taken_for_each_other() {
-    for (list, first) in [("ek1100,el1008,el2004,ax2000*4", 2), ("ax2000*4,ek1100,el1008,el2004", 6)] {
+    for (list, first) in [
+        ("ek1100,el1008,el2004,ax2000*4", 2),
+        ("ax2000*4,ek1100,el1008,el2004", 6),
+    ] {
         let mut rig = rig_of(parse_slaves(list).unwrap(), ExchangeKind::Split);
         rig.cell.inject(Fault::Sii(first, SiiFault::Damaged));
         rig.start();
@@ -338,8 +341,6 @@ pub(crate) fn a_refused_terminal_and_its_neighbour_that_returns_first_are_not_ta
         rig.run_ms(1_500);
         rig.recover();
         rig.run_ms(2 * REPAIR_MS);
-        let taken = |rig: &Rig<'_>| rig.log.iter().filter(|event| is_slave(event, first)).count();
-        println!("{list}: {} reports of the place", taken(&rig));
         let is_other = rig.log.iter().any(|event| is_product_at(event, first, EL2004));
         assert!(!is_other, "{list}: {:#?}", rig.log);
         rig.cell.inject(Fault::Insert(first));
@@ -363,10 +364,6 @@ const EL2004: u32 = 0x07D4_3052;
 fn is_product_at(event: &BusEvent, slave: usize, product: u32) -> bool {
     matches!(event, BusEvent::Slave { position, identity, .. }
         if usize::from(*position) + 1 == slave && identity.product == product)
-}
-
-fn is_slave(event: &BusEvent, slave: usize) -> bool {
-    matches!(event, BusEvent::Slave { position, .. } if usize::from(*position) + 1 == slave)
 }
 
 #[test]

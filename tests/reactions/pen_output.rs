@@ -257,7 +257,7 @@ pub(crate) fn a_terminal_that_fails_while_its_pen_draws_is_a_fault_and_a_held_dr
         robot.command(Command::Home).unwrap();
         robot.run(100);
         let is_enabled = robot.command(Command::Enable).is_ok();
-        robot.run(500);
+        robot.run(2_000);
         assert_eq!(
             robot.mode() == Mode::Idle,
             !is_deaf,
