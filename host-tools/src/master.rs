@@ -8,7 +8,7 @@
 //! Invariant: the thread ends with its owner, with the transport, or after a failed bring-up.
 
 use etherpen::ethercat::BusQueues;
-use etherpen::ethercat::cyclic::{Arrival, BusCounters, Exchange};
+use etherpen::ethercat::cyclic::{Arrival, BusCounters, Exchange, Turn};
 use etherpen::ethercat::diagnostics::{ServiceRequest, ServiceResult};
 use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::event::{BusCommand, BusEvent, Step};
@@ -44,9 +44,6 @@ const FURTHER_FRAMES: usize = 4;
 
 type HostExchange<'a> = Exchange<'a, RobotDrives, SLAVES_MAX, BUS_MESSAGE_BYTES, FURTHER_FRAMES>;
 type HostQueues = BusQueues<RobotDrives, SLAVES_MAX, BUS_MESSAGE_BYTES, FURTHER_FRAMES>;
-
-/// A function of the exchange that gives a telegram, empty when there is none.
-type Telegram<'q> = for<'t> fn(&'t mut HostExchange<'q>) -> &'t [u8];
 
 /// Why the master cannot run.
 #[derive(Debug)]
@@ -246,16 +243,8 @@ impl Worker {
 
     /// Exchanges inputs, then outputs, and continues to receive until `until`.
     fn cycle(&mut self, exchange: &mut HostExchange, until: Instant) -> io::Result<()> {
-        self.transact(
-            exchange,
-            HostExchange::input_telegram,
-            HostExchange::next_input_telegram,
-        )?;
-        self.transact(
-            exchange,
-            HostExchange::output_telegram,
-            HostExchange::next_output_telegram,
-        )?;
+        self.transact(exchange, Turn::First)?;
+        self.transact(exchange, Turn::Second)?;
         let mut frame = [0; FRAME_LEN_MAX];
         loop {
             let left = until.saturating_duration_since(Instant::now());
@@ -270,16 +259,17 @@ impl Worker {
     }
 
     /// Sends the telegrams of one direction and waits for their replies.
-    fn transact<'q>(
-        &mut self,
-        exchange: &mut HostExchange<'q>,
-        first: Telegram<'q>,
-        next: Telegram<'q>,
-    ) -> io::Result<()> {
-        let mut telegram = first(exchange);
+    fn transact(&mut self, exchange: &mut HostExchange<'_>, turn: Turn) -> io::Result<()> {
+        let mut telegram = match turn {
+            Turn::First => exchange.input_telegram(),
+            Turn::Second => exchange.output_telegram(),
+        };
         while !telegram.is_empty() {
             self.transport.send(telegram)?;
-            telegram = next(exchange);
+            telegram = match turn {
+                Turn::First => exchange.next_input_telegram(),
+                Turn::Second => exchange.next_output_telegram(),
+            };
         }
         let wait = if self.silent_cycles < SILENT_CYCLES {
             REPLY_WAIT
@@ -288,7 +278,7 @@ impl Worker {
         };
         let until = Instant::now() + wait;
         let mut frame = [0; FRAME_LEN_MAX];
-        while exchange.awaits_replies() {
+        while exchange.awaits_replies(turn) {
             let left = until.saturating_duration_since(Instant::now());
             if let Some(length) = self.transport.receive(&mut frame, left)?
                 && matches!(

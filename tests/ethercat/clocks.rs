@@ -74,6 +74,10 @@ again! {
         a_terminal_that_fails_disturbs_no_drive_and_comes_back_on_command,
         a_terminal_that_cannot_be_read_is_refused_and_the_drives_operate,
         a_terminal_that_lost_power_with_a_damaged_memory_comes_back_once_it_is_whole,
+        a_terminal_whose_description_is_damaged_during_its_repair_is_refused_until_it_is_whole,
+        a_refused_terminal_that_is_brought_to_op_by_a_request_is_read_again,
+        a_refused_terminal_and_its_neighbour_that_returns_first_are_not_taken_for_each_other,
+        a_terminal_that_was_too_slow_to_be_identified_comes_back_after_a_power_loss,
         a_chain_in_which_a_named_place_may_be_another_slave_waits_for_the_missing_one,
         outputs_become_0_when_the_bus_is_stopped_and_values_are_found_by_their_objects,
         a_drive_that_is_named_as_a_terminal_is_no_axis_wherever_it_is;

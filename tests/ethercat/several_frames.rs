@@ -263,6 +263,100 @@ fn lose_the_last_slave(mut running: Running, random: &mut Random) {
 }
 
 #[test]
+fn outputs_of_slaves_beyond_the_first_frame_only_arrive_at_them() {
+    let case = Case {
+        cycle_us: 1_000,
+        kind: ExchangeKind::Split,
+        clocks: false,
+        lengths: [vec![(0, 1); 32], vec![(1, 0); 2]].concat(),
+    };
+    let mut bench = case.start(1);
+    bench.operational();
+    assert_eq!(bench.sent.each_ref().map(Vec::len), [1, 1]);
+    let acting = case.lengths.iter().map(|(outputs, _)| vec![0; usize::from(*outputs)]);
+    let mut running = Running {
+        acting: acting.collect(),
+        bench,
+        lengths: case.lengths,
+        counted: Default::default(),
+    };
+    let mut random = Random::new(1);
+    for _ in 0..20 {
+        running.cycle(&mut random, &[]);
+    }
+    running.cycle(&mut random, &[((0, true), Fate::RequestLost)]);
+    running.cycle(&mut random, &[]);
+    lose_the_last_slave(running, &mut random);
+}
+
+/// A chain of terminals with a byte of outputs and of inputs, with clocks or without; the last one is not there yet.
+fn chain_without_its_last(clocks: &[bool]) -> Bench {
+    let slaves = clocks
+        .iter()
+        .map(|clock| SlaveKind::Sii(terminal_of_bytes(1, 1, *clock).into()));
+    let options = SegmentOptions {
+        slaves: slaves.collect(),
+        ..SegmentOptions::default()
+    };
+    let setup = BusSetup {
+        terminals: SlaveSet::ALL,
+        cycle_ns: 1_000_000,
+        watchdog_ms: 500,
+        clocks: true,
+        ..BusSetup::default()
+    };
+    let mut bench = Bench::start(&options, setup);
+    bench.segment.inject(Fault::Remove(clocks.len()));
+    bench.operational();
+    bench
+}
+
+/// For 200 cycles the reference's time comes in each, and nothing that answers is wrong.
+fn the_time_comes(bench: &mut Bench, what: &str) {
+    let errors = bench.exchange.counters().working_counter_errors;
+    for _ in 0..200 {
+        bench.cycle();
+        assert!(bench.exchange.clock_ns().is_some(), "{what}");
+    }
+    let now = bench.exchange.counters().working_counter_errors;
+    assert_eq!(now, errors, "{what}: {:#?}", bench.log);
+}
+
+#[test]
+fn the_clock_of_an_extra_slave_is_no_error_for_ever() {
+    let mut bench = chain_without_its_last(&[true; 4]);
+    for round in 0..2 {
+        bench.segment.inject(Fault::Insert(4));
+        bench.run_ms(1_500);
+        the_time_comes(&mut bench, &format!("there, {round}"));
+        bench.segment.inject(Fault::Remove(4));
+        bench.run_ms(500);
+        the_time_comes(&mut bench, &format!("gone, {round}"));
+    }
+}
+
+#[test]
+fn a_slave_with_a_clock_is_replaced_by_one_without_and_back() {
+    let mut bench = chain_without_its_last(&[true, true, false]);
+    for (gone, come) in [(2, 3), (3, 2), (2, 3)] {
+        let what = format!("{come} for {gone}");
+        bench.segment.inject(Fault::Remove(gone));
+        bench.run_ms(500);
+        bench.segment.inject(Fault::Power(come, 50));
+        bench.segment.inject(Fault::Insert(come));
+        bench.run_ms(500);
+        assert!(bench.commands.enqueue(BusCommand::Recover).is_ok());
+        bench.operational();
+        the_time_comes(&mut bench, &what);
+        bench.segment.set_inputs(come, &[0x5A]);
+        bench.exchange.output(1).copy_from_slice(&[0xA5]);
+        bench.run(2);
+        assert_eq!(bench.exchange.input(1), Some(&[0x5A][..]), "{what}");
+        assert_eq!(bench.segment.outputs(come), Some(vec![0xA5]), "{what}");
+    }
+}
+
+#[test]
 fn the_65th_slave_is_refused_with_the_limit_and_64_come_up() {
     for slaves in [65, 64] {
         let case = Case {

@@ -4,10 +4,12 @@ use crate::rig::{Rig, idle_rig_of};
 use etherpen::drives::cia402::{DriveState, DriveTarget};
 use etherpen::ethercat::configure::Direction;
 use etherpen::ethercat::cyclic::ExchangeKind;
+use etherpen::ethercat::diagnostics::ServiceRequest;
 use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::event::WantedValue;
 use etherpen::ethercat::place::Place;
 use etherpen::ethercat::slave_set::SlaveSet;
+use etherpen::ethercat::state;
 use etherpen::ethercat::supervisor::BusEvent;
 use etherpen::ethercat::wire::coe::Object;
 use etherpen::robots::AXES;
@@ -261,6 +263,132 @@ pub(crate) fn a_terminal_that_lost_power_with_a_damaged_memory_comes_back_once_i
         rig.run_ms(THROUGH_MS);
         assert_eq!(rig.cell.outputs(7), Some(vec![0x6]), "{interruption:?}");
     }
+}
+
+/// Asks for a state of a slave, by its place in the chain; whether it got there.
+fn brings_to(rig: &mut Rig<'_>, slave: u8, state: state::AlState) -> bool {
+    rig.ask(ServiceRequest::SetState { slave, state }).is_ok()
+}
+
+#[test]
+pub(crate) fn a_terminal_whose_description_is_damaged_during_its_repair_is_refused_until_it_is_whole() {
+    for attempts in [1, 2] {
+        let mut rig = brought_up("ek1100,el1008,ax2000*4,el2004", ExchangeKind::Split);
+        rig.cell.inject(Fault::Sii(2, SiiFault::Damaged));
+        assert!(brings_to(&mut rig, 1, state::AlState::Init));
+        for _ in 0..attempts {
+            let from = rig.log.len();
+            rig.recover();
+            rig.run_ms(REPAIR_MS);
+            let is_refused = |event: &BusEvent| matches!(event, BusEvent::TerminalRefused { position: 1, .. });
+            assert!(rig.log[from..].iter().any(is_refused), "{:#?}", &rig.log[from..]);
+        }
+        assert_eq!(rig.input_bits(1, 0, 8), None);
+        rig.cell.inject(Fault::Sii(2, SiiFault::Whole));
+        rig.recover();
+        rig.run_ms(REPAIR_MS);
+        rig.cell.set_inputs(2, &[0x3C]);
+        rig.run_ms(THROUGH_MS);
+        assert_eq!(rig.input_bits(1, 0, 8), Some(0x3C), "{:#?}", rig.log);
+        assert_eq!(rig.al_state(1), AlState::Operational);
+    }
+}
+
+#[test]
+pub(crate) fn a_refused_terminal_that_is_brought_to_op_by_a_request_is_read_again() {
+    let mut rig = rig_of(
+        parse_slaves("ek1100,el1008,ax2000*4,el2004").unwrap(),
+        ExchangeKind::Split,
+    );
+    rig.cell.inject(Fault::Sii(2, SiiFault::Damaged));
+    rig.start();
+    rig.wait_for(3 * BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+    rig.run_ms(20);
+    assert_eq!(rig.input_bits(1, 0, 8), None);
+    rig.cell.inject(Fault::Sii(2, SiiFault::Whole));
+    assert!(brings_to(&mut rig, 1, state::AlState::Operational), "{:#?}", rig.log);
+    rig.cell.set_inputs(2, &[0x3C]);
+    rig.run_ms(THROUGH_MS);
+    assert_eq!(
+        (rig.al_state(1), rig.input_bits(1, 0, 8)),
+        (AlState::Operational, Some(0x3C)),
+        "{:#?}",
+        rig.log
+    );
+    // What was read is true: the terminal comes back from a power loss, too.
+    rig.cell.inject(Fault::Power(2, 133));
+    rig.run_ms(300);
+    rig.recover();
+    rig.run_ms(REPAIR_MS);
+    assert_eq!(rig.input_bits(1, 0, 8), Some(0x3C), "{:#?}", rig.log);
+}
+
+#[test]
+pub(crate) fn a_refused_terminal_and_its_neighbour_that_returns_first_are_not_taken_for_each_other() {
+    for (list, first) in [
+        ("ek1100,el1008,el2004,ax2000*4", 2),
+        ("ax2000*4,ek1100,el1008,el2004", 6),
+    ] {
+        let mut rig = rig_of(parse_slaves(list).unwrap(), ExchangeKind::Split);
+        rig.cell.inject(Fault::Sii(first, SiiFault::Damaged));
+        rig.start();
+        rig.wait_for(3 * BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+        rig.run_ms(20);
+        rig.cell.inject(Fault::Sii(first, SiiFault::Whole));
+        rig.cell.inject(Fault::Remove(first));
+        rig.cell.inject(Fault::Power(first, 400));
+        rig.cell.inject(Fault::Power(first + 1, 200));
+        rig.run_ms(1_500);
+        rig.recover();
+        rig.run_ms(2 * REPAIR_MS);
+        let is_other = rig.log.iter().any(|event| is_product_at(event, first, EL2004));
+        assert!(!is_other, "{list}: {:#?}", rig.log);
+        rig.cell.inject(Fault::Insert(first));
+        rig.run_ms(1_500);
+        for _ in 0..2 {
+            rig.recover();
+            rig.run_ms(2 * REPAIR_MS);
+        }
+        rig.cell.set_inputs(first, &[0x3C]);
+        assert!(rig.set_output_bits(first, 0, 4, 0x6), "{list}: {:#?}", rig.log);
+        rig.run_ms(THROUGH_MS);
+        assert_eq!(rig.input_bits(first - 1, 0, 8), Some(0x3C), "{list}: {:#?}", rig.log);
+        assert_eq!(rig.cell.outputs(first + 1), Some(vec![0x6]), "{list}");
+    }
+}
+
+/// Product code of the terminal with four outputs.
+const EL2004: u32 = 0x07D4_3052;
+
+/// Whether an event tells that the slave at a place, from 1, has a product.
+fn is_product_at(event: &BusEvent, slave: usize, product: u32) -> bool {
+    matches!(event, BusEvent::Slave { position, identity, .. }
+        if usize::from(*position) + 1 == slave && identity.product == product)
+}
+
+#[test]
+pub(crate) fn a_terminal_that_was_too_slow_to_be_identified_comes_back_after_a_power_loss() {
+    let mut rig = rig_of(
+        parse_slaves("ek1100,el1008,ax2000*4,el2004").unwrap(),
+        ExchangeKind::Split,
+    );
+    rig.cell.inject(Fault::Sii(2, SiiFault::Busy));
+    rig.start();
+    rig.wait_for(BRING_UP_MS_MAX, |event| matches!(event, BusEvent::Found { .. }));
+    // The identification has given up, and the terminal has not been configured yet.
+    rig.run_ms(1_300);
+    rig.cell.inject(Fault::Sii(2, SiiFault::Whole));
+    rig.wait_for(3 * BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+    assert!(rig.log.iter().any(|event| is_product_at(event, 2, 0)), "{:#?}", rig.log);
+    rig.run_ms(20);
+    rig.cell.set_inputs(2, &[0x3C]);
+    rig.run_ms(THROUGH_MS);
+    assert_eq!(rig.input_bits(1, 0, 8), Some(0x3C));
+    rig.cell.inject(Fault::Power(2, 133));
+    rig.run_ms(300);
+    rig.recover();
+    rig.run_ms(REPAIR_MS);
+    assert_eq!(rig.input_bits(1, 0, 8), Some(0x3C), "{:#?}", rig.log);
 }
 
 #[test]

@@ -73,7 +73,12 @@ fn settings(axis: &DriveSettings) -> Option<SettingList> {
     if axis.mode == AxisMode::Position {
         settings.extend_from_slice(&scale(axis)?).ok()?;
     }
-    settings.extend_from_slice(&generic::settings(axis)?).ok()?;
+    for setting in &generic::settings(axis)? {
+        // Between two targets the drive interpolates for this time: with another period it would not move as it is told.
+        let is_read_back = axis.mode == AxisMode::Position && setting.object.index == generic::INTERPOLATION_PERIOD;
+        let setting = if is_read_back { setting.verified() } else { *setting };
+        settings.push(setting).ok()?;
+    }
     Some(settings)
 }
 
@@ -86,7 +91,8 @@ fn scale(axis: &DriveSettings) -> Option<[Setting; 5]> {
         long(0x6091, 2, 1),
         long(0x6092, 1, feed),
         long(0x6092, 2, 1),
-        Setting::of(BUS_OPTIONS, SCALE_BY_OBJECTS, 4).verified(),
+        // Its other bits belong to whoever set the drive up.
+        Setting::of(BUS_OPTIONS, SCALE_BY_OBJECTS, 4).added().verified(),
     ])
 }
 

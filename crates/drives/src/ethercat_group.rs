@@ -160,7 +160,11 @@ where
 
     #[inline]
     fn terminal_confirms(&self, slave: usize) -> bool {
-        !self.exchange.unconfirmed().contains(slave)
+        match self.exchange.plan().exchange {
+            ExchangeKind::Split => !self.exchange.unconfirmed().contains(slave),
+            // The outputs of the last trigger travel with this cycle's inputs.
+            ExchangeKind::Combined => self.exchange.has_answered(slave),
+        }
     }
 
     #[inline]

@@ -93,14 +93,17 @@ pub static GENERIC: DriveDescription = DriveDescription {
     settings,
 };
 
+/// Index of the interpolation period: its number in sub-index 1, and the power of ten in sub-index 2, s.
+pub const INTERPOLATION_PERIOD: u16 = 0x60C2;
+
 /// Quick stop and period, and the supervision of the position in position mode; in the profile all of these objects but
 /// the ramp are optional.
 pub(super) fn settings(axis: &DriveSettings) -> Option<SettingList> {
     let quick_stop = quick_stop_increments_s2(axis)?;
     let list = [
-        // Interpolation period: 1 times 10^-3 s.
-        Setting::new(0x60C2, 1, 1, 1).optional(),
-        Setting::new(0x60C2, 2, -3_i32 as u32, 1).optional(),
+        // 1 times 10^-3 s.
+        Setting::new(INTERPOLATION_PERIOD, 1, 1, 1).optional(),
+        Setting::new(INTERPOLATION_PERIOD, 2, -3_i32 as u32, 1).optional(),
         Setting::new(0x605A, 0, QUICK_STOP_RAMP_THEN_OFF, 2).optional(),
         Setting::of(QUICK_STOP_DECELERATION, quick_stop, 4).rounded(),
     ];

@@ -112,7 +112,7 @@ pub trait IoGroup {
         None
     }
 
-    /// Whether the terminal at a place in the chain has confirmed the outputs of the last trigger, or has none. A group
+    /// Whether the terminal at a place in the chain, which has outputs, has confirmed those of the last trigger. A group
     /// without a wire confirms them at once.
     fn terminal_confirms(&self, _slave: usize) -> bool {
         true

@@ -29,6 +29,7 @@ use super::slave_set::SlaveSet;
 use super::telegram::{Image, SlotState, Telegram};
 use super::wire::{FRAME_LEN_MAX, MacAddress, read_u8};
 use further::Further;
+pub use further::Turn;
 use heapless::spsc::{Consumer, Producer};
 
 /// Consecutive cycles without a reply after which the bus counts as silent.
@@ -215,11 +216,11 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTH
         self.first.send(index)
     }
 
-    /// Returns the output telegram with the present outputs; empty when no slave has outputs that are sent after
-    /// control.
+    /// Returns the first output telegram with the present outputs; empty when no slave has outputs that are sent after
+    /// control. If only slaves beyond the first frame have outputs, this is a further frame.
     pub fn output_telegram(&mut self) -> &[u8] {
         if self.second.is_empty() {
-            return &[];
+            return self.next_telegram(Turn::Second);
         }
         self.counters.frames_sent = self.counters.frames_sent.saturating_add(1);
         self.unconfirmed = self.output_members;
@@ -308,6 +309,13 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTH
     #[inline]
     pub fn unconfirmed(&self) -> SlaveSet {
         SlaveSet::from(self.unconfirmed) | self.further.unconfirmed()
+    }
+
+    /// Whether a slave (position in the chain) has answered in this cycle with the expected working counter: its datagram
+    /// of the cycle's start, or that after control if it has no other.
+    #[inline]
+    pub fn has_answered(&self, slave: usize) -> bool {
+        self.seen().answered.contains(slave)
     }
 
     /// This cycle's AL status of the slaves in use, and the number of all slaves that answered.

@@ -179,9 +179,9 @@ pub enum BusError {
         /// Its first bit.
         bit: u16,
     },
-    /// A slave has too much process data in one direction.
+    /// A slave has too much process data in one direction, or a terminal other data than before.
     ProcessLength {
-        /// Most bytes allowed.
+        /// Most bytes allowed; or those of the terminal before, at least.
         expected: u16,
         /// Bytes found.
         actual: u16,

@@ -4,7 +4,9 @@ extern crate std;
 
 use super::BusQueues;
 use super::acyclic::{IN_FLIGHT_MAX, Outcome, Request};
-use super::cyclic::{AlStatus, Arrival, CyclicPlan, CyclicSlave, Exchange, ExchangeKind, Ignored, SILENT_CYCLES};
+use super::cyclic::{
+    AlStatus, Arrival, CyclicPlan, CyclicSlave, Exchange, ExchangeKind, Ignored, PROCESS_BYTES_MAX, SILENT_CYCLES,
+};
 use super::no_drivers::NoDrivers;
 use super::process_data::LOGICAL_START;
 use super::random::Random;
@@ -449,6 +451,76 @@ fn outputs_of_a_terminal_that_left_operation_are_zero_until_they_are_set_again()
             [7; 6],
             "a slave that is no terminal keeps its outputs"
         );
+    }
+}
+
+#[test]
+fn outputs_of_a_terminal_are_unconfirmed_from_its_first_plan_on_until_no_plan_names_it() {
+    let (mut exchange, mut end) = exchange();
+    for terminals in [SlaveSet::of(0), SlaveSet::NONE, SlaveSet::places(&[1, 3])] {
+        let plan = CyclicPlan {
+            terminals,
+            ..plan(true)
+        };
+        assert!(end.plans.enqueue(plan).is_ok());
+        let reply = answered(input(&mut exchange));
+        exchange.receive(&reply);
+        let telegram = output(&mut exchange);
+        assert_eq!(exchange.unconfirmed(), terminals);
+        exchange.receive(&answered(telegram));
+        assert_eq!(exchange.unconfirmed(), SlaveSet::NONE);
+    }
+}
+
+#[test]
+fn a_slave_without_room_in_the_frame_costs_no_other_its_inputs() {
+    const MANY: usize = 24;
+    // 76 bytes each for the first ones, of which 19 have room; 14 bytes for the last one.
+    let slaves = (0..MANY as u32).map(|number| {
+        let length = if number as usize == MANY - 1 {
+            1
+        } else {
+            PROCESS_BYTES_MAX as u16
+        };
+        let start = LOGICAL_START + 64 * number;
+        CyclicSlave {
+            input_address: start,
+            input_length: length,
+            output_address: start + u32::from(length),
+            output_length: length,
+            watched: true,
+            ..CyclicSlave::default()
+        }
+    });
+    let plan = CyclicPlan::<NoDrivers, MANY> {
+        slaves: slaves.collect(),
+        exchange: ExchangeKind::Combined,
+        ..CyclicPlan::default()
+    };
+    let queues = Box::leak(Box::new(BusQueues::<NoDrivers, MANY, MESSAGE>::new()));
+    let (exchange_end, mut end, _) = queues.split();
+    let mut exchange: Exchange<'_, NoDrivers, MANY, MESSAGE> = Exchange::new(exchange_end, MAC);
+    assert!(end.plans.enqueue(plan).is_ok());
+    let mut reply = exchange.input_telegram().to_vec();
+    let mut places = Vec::new();
+    each_datagram(&mut reply, |_, datagram| {
+        if datagram.command_number() == Command::Lrw as u8 {
+            let place = (datagram.address().0 - LOGICAL_START) / 64;
+            places.push(place as usize);
+            datagram.data_mut().fill(place as u8);
+            datagram.set_working_counter(3);
+        }
+    });
+    reply[6] |= SOURCE_BIT;
+    assert_eq!(exchange.receive(&reply), Arrival::Input);
+    let expected: Vec<usize> = (0..19).chain([MANY - 1]).collect();
+    assert_eq!(places, expected);
+    for place in 0..MANY {
+        let length = if place == MANY - 1 { 1 } else { PROCESS_BYTES_MAX };
+        let on_the_wire = [place as u8; PROCESS_BYTES_MAX];
+        let expected = places.contains(&place).then_some(&on_the_wire[..length]);
+        assert_eq!(exchange.input(place), expected, "slave {place}");
+        assert_eq!(exchange.has_answered(place), expected.is_some(), "slave {place}");
     }
 }
 

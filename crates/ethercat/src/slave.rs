@@ -103,6 +103,11 @@ impl<F: SlaveFactory> Slave<F> {
         self.is_terminal && self.own_data.is_none()
     }
 
+    /// Whether it is a terminal of whose information memory nothing was read yet.
+    pub fn is_unread_terminal(&self) -> bool {
+        self.is_terminal && self.fixed == FixedPart::default()
+    }
+
     /// Whether its process data are those that the slave itself describes: it is a terminal, or has no driver.
     pub const fn has_own_data(&self) -> bool {
         self.is_terminal || self.device.is_none()
@@ -125,6 +130,12 @@ impl<F: SlaveFactory> Slave<F> {
     /// Name of its device type for messages.
     pub fn name(&self) -> &'static str {
         self.device.map_or("unknown device", |device| F::describe(device).name)
+    }
+
+    /// Whether it is of the product of an identity.
+    pub const fn is_of_product(&self, identity: &Identity) -> bool {
+        let own = self.identity();
+        own.vendor == identity.vendor && own.product == identity.product
     }
 
     /// Identity of the slave.

@@ -269,19 +269,26 @@ impl<P: Protocol, const SAMPLES: usize> DeviceEndpoint<P, SAMPLES> {
     }
 
     fn take_command(&mut self, id: u16, command: P::Command) -> Option<DeviceEvent<P>> {
+        let effect = P::effect(&command);
+        let request = Request {
+            id,
+            effect,
+            result: None,
+            due: false,
+        };
         if let Some(known) = self.requests.iter_mut().find(|known| known.id == id) {
+            // A program that has begun anew behind the same port numbers its requests anew: no other request's number
+            // makes a stop a repetition.
+            if effect == CommandEffect::Stops && known.effect != effect {
+                *known = request;
+                return Some(DeviceEvent::Command { id, command });
+            }
             known.due = known.result.is_some();
             return None;
         }
         if self.requests.is_full() {
             self.requests.pop_front();
         }
-        let request = Request {
-            id,
-            effect: P::effect(&command),
-            result: None,
-            due: false,
-        };
         // There is room: the oldest entry has just been removed.
         let _ = self.requests.push_back(request);
         Some(DeviceEvent::Command { id, command })

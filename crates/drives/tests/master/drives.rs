@@ -188,6 +188,44 @@ fn position_writes_the_period_and_the_window_and_gives_the_target_and_the_veloci
     });
 }
 
+/// An AKD whose owner has set these options of its fieldbus.
+fn akd_with_options(options: u32) -> FakeSlave {
+    let mut slave = position_drive();
+    slave.sii[16..24].copy_from_slice(&[0x6A, 0, 0, 0, 0x44, 0x4B, 0x41, 0]);
+    for object in [(0x1600, 3), (0x6065, 0), (0x6066, 0)] {
+        slave.objects.remove(&object);
+    }
+    for object in [(0x6091, 1), (0x6091, 2), (0x6092, 1), (0x6092, 2)] {
+        slave.objects.insert(object, vec![0; 4]);
+    }
+    slave.objects.insert((0x36E9, 0), options.to_le_bytes().to_vec());
+    slave
+}
+
+#[test]
+fn an_akd_keeps_its_other_options_and_has_to_take_the_period_in_position_mode() {
+    for (options, expected) in [(0, 0x10_u32), (0x8000_0181, 0x8000_0191), (0x10, 0x10)] {
+        operational(AxisMode::Position, segment(|| akd_with_options(options)), |bench| {
+            for slave in &bench.segment.slaves {
+                assert_eq!(slave.objects[&(0x36E9, 0)], expected.to_le_bytes(), "{options:#x}");
+                assert_eq!(slave.objects[&(0x60C2, 1)], [1]);
+                assert_eq!(slave.objects[&(0x60C2, 2)], [0xFD]);
+            }
+        });
+    }
+    let deaf = || {
+        let mut slave = akd_with_options(0);
+        slave.deaf.push(0x60C2);
+        slave
+    };
+    let expected = BusError::ReadBack {
+        object: Object::new(0x60C2, 1),
+        expected: 1,
+        actual: 0xEE,
+    };
+    assert_eq!(refusal(AxisMode::Position, segment(deaf)), expected);
+}
+
 #[test]
 fn a_drive_in_position_mode_may_lack_everything_but_its_target() {
     // No room for the velocity offset, and none of the optional objects.

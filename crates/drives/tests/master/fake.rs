@@ -26,6 +26,8 @@ pub(crate) struct FakeSlave {
     pub(crate) mute: bool,
     /// Objects whose writing is refused.
     pub(crate) read_only: Vec<u16>,
+    /// Objects that take a value and keep the one that they have.
+    pub(crate) deaf: Vec<u16>,
     /// Only INIT clears the error flag.
     pub(crate) sticky_error: bool,
     /// Whether it has no processor: it copies AL control to AL status.
@@ -67,6 +69,7 @@ impl FakeSlave {
             downloads: 0,
             mute: false,
             read_only: Vec::new(),
+            deaf: Vec::new(),
             sticky_error: false,
             emulated: false,
             boots: 0,
@@ -261,7 +264,9 @@ impl FakeSlave {
                     }
                     .emit(&mut bytes),
                     Some(value) if value.len() == data.len() => {
-                        *value = data.to_vec();
+                        if !self.deaf.contains(&object.index) {
+                            *value = data.to_vec();
+                        }
                         Sdo::DownloadDone { object }.emit(&mut bytes)
                     }
                     Some(_) => Sdo::Abort {

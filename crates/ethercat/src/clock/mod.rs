@@ -92,6 +92,9 @@ pub struct BusClocks<const SLAVES: usize> {
     told_by: Option<usize>,
     /// Whether clocks before the reference are being set: it only shows its time meanwhile.
     is_held: bool,
+    /// Number of slaves whose place in the chain is known. Those behind them are extra ones, wherever they are: the time is
+    /// written to their clocks too, which are counted for that, and nothing else.
+    ordered: u8,
     /// Number of the time, see [`ReferenceClock::time_number`].
     time_number: u8,
     /// The reference's time in 64 bits when it was last read, ns; `None` before.
@@ -150,7 +153,7 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
 
     /// Whether a slave has no clock, or one with the time of the bus.
     pub fn is_set(&self, position: usize) -> bool {
-        let clock = self.slaves.get(position).filter(|slave| slave.width.is_some());
+        let clock = self.slaves.get(position).filter(|_| self.has_clock(position));
         clock.is_none_or(|slave| slave.is_set)
     }
 
@@ -202,9 +205,27 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
         expected_ns - expected_ns % period_ns + u64::from(self.phase_ns)
     }
 
-    /// Whether the slave at this place has a clock.
+    /// Whether the slave at this place has a clock that is used: no extra slave has.
     pub fn has_clock(&self, position: usize) -> bool {
-        self.slaves.get(position).is_some_and(|slave| slave.width.is_some())
+        let is_ordered = position < usize::from(self.ordered);
+        is_ordered && self.slaves.get(position).is_some_and(|slave| slave.width.is_some())
+    }
+
+    /// Notes what was found at a slave's place: another slave with another clock, or with none, may have taken it.
+    pub fn replace(&mut self, position: usize, found: &SlaveClock) {
+        let slave = self.slaves.get_mut(position);
+        let is_other = |slave: &&mut SlaveClock| (slave.width, slave.latches) != (found.width, found.latches);
+        if let Some(slave) = slave.filter(is_other) {
+            *slave = *found;
+        }
+    }
+
+    /// Adds an extra slave behind all others. Does nothing unless `position` is the next place.
+    pub fn add_extra(&mut self, position: usize, found: SlaveClock) {
+        if self.slaves.len() == position {
+            // There is an entry for each slave of the bus.
+            let _ = self.slaves.push(found);
+        }
     }
 
     /// The offset that makes the slave at `position` agree with `source`, both measured by one frame.
@@ -237,24 +258,40 @@ pub async fn discover<const SLAVES: usize, const MESSAGE: usize>(
 ) -> Result<BusClocks<SLAVES>, BusError> {
     let mut clocks = BusClocks::<SLAVES>::default();
     for station in stations.iter().take(SLAVES) {
-        let read = |register, length| Request::read(Command::Fprd, Address::station(*station, register), length);
-        let (bytes, answers) = port.answered(&read(register::FEATURES, 2)).await?;
-        let features = if answers == 1 { read_u16(&bytes, 0) } else { 0 };
-        let latches = features & register::FEATURE_CLOCKS != 0;
-        let has_time = latches && port.answered(&read(register::DC_SYSTEM_TIME, 4)).await?.1 == 1;
-        let width = match features & register::FEATURE_CLOCKS_64 {
-            _ if !has_time => None,
-            0 => Some(Width::Bits32),
-            _ => Some(Width::Bits64),
-        };
+        let found = read_clock(port, *station).await?;
         // The loop ends at the capacity.
-        let _ = clocks.slaves.push(SlaveClock {
-            width,
-            latches,
-            ..SlaveClock::default()
-        });
+        let _ = clocks.slaves.push(found.unwrap_or_default());
     }
+    clocks.ordered = clocks.slaves.len() as u8;
     Ok(clocks)
+}
+
+/// What clock a slave has; `None` if it does not answer.
+///
+/// # Errors
+/// As [`AcyclicPort::answered`].
+pub async fn read_clock<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+) -> Result<Option<SlaveClock>, BusError> {
+    let read = |register, length| Request::read(Command::Fprd, Address::station(station, register), length);
+    let (bytes, answers) = port.answered(&read(register::FEATURES, 2)).await?;
+    if answers != 1 {
+        return Ok(None);
+    }
+    let features = read_u16(&bytes, 0);
+    let latches = features & register::FEATURE_CLOCKS != 0;
+    let has_time = latches && port.answered(&read(register::DC_SYSTEM_TIME, 4)).await?.1 == 1;
+    let width = match features & register::FEATURE_CLOCKS_64 {
+        _ if !has_time => None,
+        0 => Some(Width::Bits32),
+        _ => Some(Width::Bits64),
+    };
+    Ok(Some(SlaveClock {
+        width,
+        latches,
+        ..SlaveClock::default()
+    }))
 }
 
 /// Makes all slaves latch the times of one frame, and computes the delays. Slaves that do not answer keep theirs; `answers`
@@ -271,7 +308,9 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
     // Only one latching frame counts: a repeated one would leave slaves with times of different frames.
     port.broadcast_write(register::DC_RECEIVE_TIME, &[0; 4]).await?;
     let (mut there, mut ports) = (Vec::<usize, SLAVES>::new(), Vec::<PortTimes, SLAVES>::new());
-    for (position, (station, slave)) in stations.iter().zip(clocks.slaves.iter_mut()).enumerate() {
+    // Nobody knows where in the chain an extra slave is.
+    let ordered = clocks.slaves.iter_mut().take(clocks.ordered.into());
+    for (position, (station, slave)) in stations.iter().zip(ordered).enumerate() {
         if !answers(position) {
             slave.measured = false;
             continue;

@@ -471,6 +471,69 @@ fn sync_starts_ahead_in_time_at_its_shift_behind_the_phase_of_the_frames() {
 }
 
 #[test]
+fn a_slave_is_replaced_by_one_with_another_clock_or_with_none() {
+    for (old, new) in [(WIDE, None), (None, WIDE), (WIDE, NARROW), (NARROW, WIDE)] {
+        let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (old, 42, 0), (WIDE, 7, 0)]);
+        let mut clocks = chain.set_up();
+        let features = Chain::new([(new, 0, 0); 4]).slaves[0].memory[usize::from(register::FEATURES)..][..2].to_vec();
+        let other = &mut chain.slaves[2];
+        (other.width, other.latches, other.start_ns) = (new, new.is_some(), 1 << 33);
+        other.put(register::FEATURES, &features);
+        other.put(register::DC_OFFSET, &[0; 8]);
+        clocks.was_off(2);
+        let counted = chain.run(async |mut port: AcyclicPort<'static, 64>| -> Result<_, BusError> {
+            let found = read_clock(&mut port, STATIONS[2]).await?.expect("an answer");
+            clocks.replace(2, &found);
+            restore(&mut port, &STATIONS, &mut clocks, 2, |_| true).await?;
+            Ok(clocks.reference_clock(&STATIONS, |_| true))
+        });
+        let reference = counted.expect("the repair").expect("a reference");
+        let expected = (3 + u16::from(new.is_some()), new != NARROW);
+        assert_eq!((reference.slaves, reference.wide), expected, "{old:?} to {new:?}");
+        assert_eq!(clocks.has_clock(2), new.is_some());
+        let ours = chain.slaves[2].system_ns(chain.true_ns) as u32;
+        let bus = chain.slaves[0].system_ns(chain.true_ns) as u32;
+        assert!(new.is_none() || ours == bus, "{old:?} to {new:?}: {ours} and {bus} ns");
+    }
+}
+
+#[test]
+fn an_extra_slave_is_counted_and_neither_measured_nor_set() {
+    let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 7, 0)]);
+    let known = &STATIONS[..3];
+    let extra = chain.slaves.pop().expect("a slave");
+    let mut clocks: BusClocks<16> = chain
+        .run(async |mut port: AcyclicPort<'static, 64>| set_up(&mut port, known, PERIOD_NS, 0).await)
+        .expect("the set-up");
+    let before = clocks.slaves.clone();
+    chain.slaves.push(extra);
+    let offset = chain.slaves[3].memory[usize::from(register::DC_OFFSET)..][..8].to_vec();
+    let there = |lost: usize| move |position: usize| position != lost;
+    chain
+        .run(async |mut port: AcyclicPort<'static, 64>| -> Result<(), BusError> {
+            let found = read_clock(&mut port, STATIONS[3]).await?.expect("an answer");
+            clocks.add_extra(5, found);
+            assert_eq!(clocks.slaves.len(), 3, "a place that is not the next one");
+            clocks.add_extra(3, found);
+            restore(&mut port, &STATIONS, &mut clocks, 3, |_| true).await?;
+            clocks.chain_changed();
+            tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await
+        })
+        .expect("the extra slave");
+    let counted = |lost| {
+        clocks
+            .reference_clock(&STATIONS, there(lost))
+            .map(|clock| (clock.station, clock.slaves))
+    };
+    assert_eq!((counted(9), counted(3)), (Some((0x1001, 4)), Some((0x1001, 3))));
+    assert_eq!(counted(0), Some((0x1002, 3)));
+    assert!(!clocks.has_clock(3) && clocks.is_set(3) && !clocks.slaves[3].measured);
+    assert_eq!(chain.slaves[3].memory[usize::from(register::DC_OFFSET)..][..8], offset);
+    let delays = |slaves: &[SlaveClock]| slaves.iter().map(|slave| slave.delay_ns).collect::<StdVec<_>>();
+    assert_eq!(delays(&clocks.slaves[..3]), delays(&before));
+}
+
+#[test]
 fn without_a_period_sync_starts_at_the_earliest_time() {
     let clocks = BusClocks::<4>::default();
     assert_eq!(clocks.period_ns, 0);

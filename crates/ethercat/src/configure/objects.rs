@@ -97,6 +97,8 @@ pub struct Setting {
     pub rounded: bool,
     /// Whether the device may refuse the object.
     pub optional: bool,
+    /// Whether the bits of the value are set among those of the object, which keeps its others.
+    pub adds: bool,
 }
 
 /// Largest difference of a rounded value from the one that was written, as a part of it: devices calculate in units of
@@ -118,6 +120,7 @@ impl Setting {
             verify: None,
             rounded: false,
             optional: false,
+            adds: false,
         }
     }
 
@@ -135,6 +138,11 @@ impl Setting {
             rounded: true,
             ..self.verified()
         }
+    }
+
+    /// This setting for an object whose other bits stay as they are: it is read before it is written.
+    pub const fn added(self) -> Self {
+        Self { adds: true, ..self }
     }
 
     /// Whether what was read back is what was written.

@@ -115,8 +115,13 @@ impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
     pub async fn write(&mut self, setting: &Setting) -> Result<(), BusError> {
         let dictionary = &mut self.dictionary();
         let mask = u32::MAX >> (32 - 8 * u32::from(setting.length.clamp(1, 4)));
-        let expected = setting.value & mask;
-        match dictionary.write(setting.object, setting.value, setting.length).await {
+        let others = match setting.adds {
+            true => dictionary.read(setting.object, setting.length).await?,
+            false => 0,
+        };
+        let value = setting.value | others;
+        let expected = value & mask;
+        match dictionary.write(setting.object, value, setting.length).await {
             Err(BusError::SdoAbort { .. }) if setting.optional => return Ok(()),
             other => other?,
         }

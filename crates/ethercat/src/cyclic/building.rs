@@ -45,12 +45,14 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTHER: 
             let (first, second) = (slave.first_window(plan.exchange), slave.second_window(plan.exchange));
             if let Some(window) = &first {
                 let frame = firsts.frame(number, window);
-                self.push_first(number, slave, window, (frame, image));
-                image += 1;
+                // The inputs of a frame lie together: a slave that has no room takes no image.
+                image += u8::from(self.push_first(number, slave, window, (frame, image)));
             }
             if let Some(window) = &second {
                 let frame = seconds.frame(number, window);
-                self.push_second(number, slave, window, (frame, first.is_none()));
+                let takes_part = slave.role.is_some() || plan.terminals.contains(number.into());
+                let kind = (slave.watched && takes_part, first.is_none());
+                self.push_second(number, slave, window, frame, kind);
             }
         }
         self.unconfirmed = unconfirmed.first() & self.output_members;
@@ -69,7 +71,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTHER: 
     }
 
     /// Adds a slave's datagram to a telegram of the cycle's start: the number of the frame, and of the slave's inputs.
-    fn push_first(&mut self, slave: u8, share: &CyclicSlave<F>, window: &Window, (frame, image): (usize, u8)) {
+    /// Returns whether there was room.
+    fn push_first(&mut self, slave: u8, share: &CyclicSlave<F>, window: &Window, (frame, image): (usize, u8)) -> bool {
         let data = match frame.checked_sub(1) {
             None => self
                 .first
@@ -80,7 +83,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTHER: 
                 self.further.push((number, Turn::First), watched, window, image)
             }
         };
-        let Some(data) = data else { return };
+        let Some(data) = data else { return false };
         if let Some(inputs) = self
             .inputs
             .get_mut(usize::from(slave))
@@ -91,12 +94,19 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTHER: 
             *inputs = InputPlace { image, further, bit };
         }
         self.place_outputs(slave, window, (frame, data));
+        true
     }
 
-    /// Adds a slave's datagram to a telegram after control: the number of the frame, and whether it is the slave's only
-    /// datagram.
-    fn push_second(&mut self, slave: u8, share: &CyclicSlave<F>, window: &Window, (frame, is_only): (usize, bool)) {
-        let is_member = share.watched && (share.role.is_some() || self.plan.terminals.contains(slave.into()));
+    /// Adds a slave's datagram to a telegram after control: the number of the frame, whether the slave is a watched member
+    /// or terminal, and whether this is its only datagram.
+    fn push_second(
+        &mut self,
+        slave: u8,
+        share: &CyclicSlave<F>,
+        window: &Window,
+        frame: usize,
+        (is_member, is_only): (bool, bool),
+    ) {
         let bit = |is_set| if is_set { 1 << (slave & 31) } else { 0 };
         let data = match frame.checked_sub(1) {
             None => {

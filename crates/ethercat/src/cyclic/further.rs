@@ -39,9 +39,9 @@ pub(super) struct Further<const SLAVES: usize, const FURTHER: usize> {
     pairs: [Pair<SLAVES>; FURTHER],
 }
 
-/// Which of two frames of a pair.
+/// Which of the two times of a cycle at which frames are sent.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Turn {
+pub enum Turn {
     /// At the start of the cycle.
     First,
     /// After control.
@@ -264,13 +264,18 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTHER: 
         self.next_telegram(Turn::Second)
     }
 
-    /// Whether the reply to a telegram of this cycle is missing.
-    pub fn awaits_replies(&self) -> bool {
-        self.first.state == SlotState::Sent || self.second.state == SlotState::Sent || !self.further.is_whole()
+    /// Whether the reply to a telegram of this cycle is missing, among those sent at its start or after control.
+    pub fn awaits_replies(&self, turn: Turn) -> bool {
+        let own = match turn {
+            Turn::First => self.first.state,
+            Turn::Second => self.second.state,
+        };
+        let mut pairs = self.further.pairs.iter();
+        own == SlotState::Sent || pairs.any(|pair| pair.of(turn).state == SlotState::Sent)
     }
 
-    /// Lost and late replies to a cycle's telegrams, by the number of the telegram in its direction, from 0: those of the
-    /// cycle's start, and those after control. `None` beyond the last.
+    /// Lost and late replies to a cycle's telegrams, by the number of the frame in its direction: those of the cycle's
+    /// start, and those after control. 0 is the first frame, which carries no slave beyond the 32nd. `None` beyond the last.
     pub fn frame_counters(&self, number: usize) -> Option<[FrameCounters; 2]> {
         match number.checked_sub(1) {
             None => Some([self.first.counters, self.second.counters]),
@@ -283,7 +288,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTHER: 
     }
 
     #[inline(always)]
-    fn next_telegram(&mut self, turn: Turn) -> &[u8] {
+    pub(super) fn next_telegram(&mut self, turn: Turn) -> &[u8] {
         let mut pairs = self.further.pairs.iter_mut();
         let is_next = |pair: &&mut Pair<SLAVES>| pair.of(turn).state == SlotState::Idle;
         let Some(pair) = pairs.find(is_next).filter(|pair| !pair.of(turn).is_empty()) else {

@@ -7,7 +7,8 @@
 use super::super::acyclic::Request;
 use super::super::clock::{self, BusClocks};
 use super::super::configure::discovery::STATION_BASE;
-use super::super::configure::{PreOperational, discovery, information, own_data};
+use super::super::configure::own_data::{self, OwnData};
+use super::super::configure::{PreOperational, discovery, information};
 use super::super::cyclic::{ExchangeKind, ValueBit};
 use super::super::driver::{Direction, ProcessData, SlaveFactory};
 use super::super::error::BusError;
@@ -142,6 +143,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     /// first such failure is returned.
     pub(super) async fn identify_all(&mut self, found: u16) -> Result<Option<Failure>, Failure> {
         self.slaves.clear();
+        self.exchanged = SlaveSet::NONE;
         self.forget_file();
         self.ordered = usize::from(found);
         for position in 0..found {
@@ -212,16 +214,22 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         self.generation = self.generation.wrapping_add(1);
         slave.generation = self.generation;
         slave.emergency = None;
-        self.check_terminal(number)?;
-        let result = match self.reach_pre_operational(number).await {
-            Ok(()) => self.configure(number).await,
-            failed => failed,
-        };
+        let result = self.go_to_safe_operational(number).await;
         if result.is_err() {
             // Whatever the slave does now, it may need its memory.
             information::give_to_slave(&mut self.port, STATION_BASE.wrapping_add(number as u16)).await;
         }
         result
+    }
+
+    async fn go_to_safe_operational(&mut self, number: usize) -> Result<(), Failure> {
+        if let Some(unread) = self.slaves.get(number).filter(|slave| slave.is_unread_terminal()) {
+            let at = Failure::of(unread.position, Step::Identify);
+            self.read_again(number).await.map_err(at)?;
+        }
+        self.check_terminal(number)?;
+        self.reach_pre_operational(number).await?;
+        self.configure(number).await
     }
 
     /// Takes a slave to a state, from the state before it or from a higher one. While the slave's processor does not read
@@ -348,6 +356,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             slaves,
             setup,
             values,
+            exchanged,
             ..
         } = self;
         let Some(slave) = slaves.get_mut(number) else {
@@ -382,6 +391,16 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             // Neither of them may set the output.
             slave.own_data = None;
             return Err(BusError::SharedOutput { first, second });
+        }
+        if slave.is_terminal {
+            let had_some = exchanged.contains(number);
+            if let Some(error) = other_length(slave.own_data.filter(|_| had_some), &data, had_some) {
+                slave.own_data = None;
+                return Err(error);
+            }
+            if data != OwnData::default() {
+                *exchanged |= SlaveSet::of(number);
+            }
         }
         slave.own_data = Some(data);
         Ok(())
@@ -491,6 +510,22 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             };
         }
         self.send_plan().await;
+    }
+}
+
+/// Why what was found of a terminal's process data is not what the terminal had `before`, if that is known, or is nothing
+/// though it had some: the memory that describes them was not read as it is.
+fn other_length(before: Option<OwnData>, found: &OwnData, had_some: bool) -> Option<BusError> {
+    let lengths = |direction| (before.map(|before| before.length(direction)), found.length(direction));
+    let mut directions = [Direction::Outputs, Direction::Inputs].into_iter().map(lengths);
+    let differs = |(before, found): &(Option<u16>, u16)| before.is_some_and(|before| before != *found);
+    match directions.find(differs) {
+        Some((before, actual)) => Some(BusError::ProcessLength {
+            expected: before.unwrap_or(0),
+            actual,
+        }),
+        None if had_some && *found == OwnData::default() => Some(BusError::ProcessLength { expected: 1, actual: 0 }),
+        None => None,
     }
 }
 

@@ -63,6 +63,8 @@ pub(super) struct Bus<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     pub(super) time_number: u8,
     /// Number of slaves that were in the chain at bring-up; they come first, in chain order.
     pub(super) ordered: usize,
+    /// Terminals that have had process data since the bring-up: one that shows none now was not read as it is.
+    pub(super) exchanged: SlaveSet,
     pub(super) generation: u8,
     worked_on: Option<usize>,
     pub(super) cable_next: usize,
@@ -94,6 +96,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             clocks: BusClocks::default(),
             time_number: 0,
             ordered: 0,
+            exchanged: SlaveSet::NONE,
             generation: 0,
             worked_on: None,
             cable_next: 0,
@@ -126,7 +129,9 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             return;
         };
         slave.own_data = None;
-        slave.condition = Condition::LeftOperational;
+        if slave.condition != Condition::Lost {
+            slave.condition = Condition::LeftOperational;
+        }
         let Failure { step, error, .. } = failure;
         let position = slave.position as u8;
         self.inspect(number..number + 1).await;
@@ -351,6 +356,13 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
     /// Sets the clock of a slave that was switched off or cut off. Meanwhile the reference's time is only read: FRMW would
     /// write the time of the cycle before to the clocks before the reference.
     pub(super) async fn restore_clock(&mut self, number: usize) -> Result<(), BusError> {
+        let Some(slave) = self.slaves.get(number).filter(|_| self.setup.clocks) else {
+            return Ok(());
+        };
+        // Another slave may have taken the place.
+        if let Some(found) = clock::read_clock(&mut self.port, slave.station()).await? {
+            self.clocks.replace(number, &found);
+        }
         if !self.clocks.has_clock(number) {
             return Ok(());
         }
@@ -374,6 +386,15 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         self.clocks.hold(false);
         self.send_plan().await;
         restored
+    }
+
+    /// Finds out whether an extra slave has a clock, to which the time is written too.
+    pub(super) async fn add_clock(&mut self, number: usize) {
+        let Some(slave) = self.slaves.get(number).filter(|_| self.setup.clocks) else {
+            return;
+        };
+        let found = clock::read_clock(&mut self.port, slave.station()).await;
+        self.clocks.add_extra(number, found.ok().flatten().unwrap_or_default());
     }
 
     /// Whether work on a slave is in progress.

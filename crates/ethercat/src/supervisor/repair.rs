@@ -16,6 +16,7 @@ use super::super::driver::SlaveFactory;
 use super::super::error::{BusError, IdentityProperty};
 use super::super::event::Step;
 use super::super::slave::{Condition, Slave};
+use super::super::slave_set::SlaveSet;
 use super::super::state::{self, AlReport, AlState};
 use super::super::wire::sii::{FixedPart, Identity};
 use super::Failure;
@@ -66,8 +67,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         self.reach_operational(number).await
     }
 
-    /// Reads the information memory of a terminal that was refused: what was read before may have been damaged.
-    async fn read_again(&mut self, number: usize) -> Result<(), BusError> {
+    /// Reads the information memory of a terminal that was refused or could not be read: what was read before may have been
+    /// damaged. Compares its identity with what is expected.
+    pub(super) async fn read_again(&mut self, number: usize) -> Result<(), BusError> {
         let Some(station) = self.slaves.get(number).map(Slave::station) else {
             return Ok(());
         };
@@ -139,8 +141,13 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let mut other = None;
         for (rank, place) in strangers.iter().enumerate() {
             let is_its_place = by_order.is_none_or(|wanted| wanted == rank);
-            let is_known = is_its_place && (by_order.is_some() || self.is_only_one(&slave, &missing));
             let fixed = self.identify(*place, places).await.map_err(at(Step::Identify))?;
+            let is_told = match slave.is_refused_terminal() {
+                // What was read of it may be wrong: only its place tells, unless the one there is a missing neighbour.
+                true => by_order.is_some() && !(is_elsewhere && self.is_another(number, &missing, &fixed.identity)),
+                false => by_order.is_some() || self.is_only_one(&slave, &missing),
+            };
+            let is_known = is_its_place && is_told;
             let mut same = self.is_same(&slave, &fixed.identity).map(|()| slave.known);
             if same.is_ok() && is_its_place {
                 same = self.check_returned(number, STATION_TEMPORARY, fixed.identity).await;
@@ -204,6 +211,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         if let Some(slave) = self.slaves.get_mut(number) {
             if slave.fixed.identity != fixed.identity {
                 (slave.device, slave.process_data) = (F::by_identity(&fixed.identity), None);
+                slave.own_data = None;
+                self.exchanged = self.exchanged.without(SlaveSet::of(number));
             }
             (slave.fixed, slave.known) = (fixed, known);
         }
@@ -227,6 +236,13 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             .iter()
             .filter_map(|number| self.slaves.get(usize::from(*number)));
         missing.filter(|missing| product(missing) == product(slave)).count() <= 1
+    }
+
+    /// Whether another missing slave is of the product of an identity.
+    fn is_another(&self, number: usize, missing: &[u8], identity: &Identity) -> bool {
+        let others = missing.iter().filter(|missing| usize::from(**missing) != number);
+        let mut others = others.filter_map(|number| self.slaves.get(usize::from(*number)));
+        others.any(|other| other.is_of_product(identity))
     }
 
     /// Index of the slave at `station` among those whose order in the chain is known. Extra slaves may be anywhere in
@@ -347,7 +363,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     pub(super) fn is_same(&self, slave: &Slave<F>, identity: &Identity) -> Result<(), BusError> {
         let (old, new) = (slave.identity(), identity);
         let may_differ = slave.is_refused_terminal() || self.is_unwanted(slave);
-        if (old.vendor, old.product) != (new.vendor, new.product) && !may_differ {
+        if !slave.is_of_product(new) && !may_differ {
             return Err(BusError::Identity {
                 expected: old.product,
                 actual: new.product,

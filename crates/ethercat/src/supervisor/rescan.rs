@@ -58,10 +58,11 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             let between = self.strangers_between(usize::from(slave.position), places);
             slave.condition == Condition::Lost && between.contains(&(place as u16))
         };
-        let returned = self
-            .slaves
-            .iter()
-            .position(|slave| belongs_here(slave) && self.is_same(slave, &fixed.identity).is_ok());
+        let may_be = |slave: &Slave<F>| belongs_here(slave) && self.is_same(slave, &fixed.identity).is_ok();
+        let is_it = |slave: &Slave<F>| slave.is_of_product(&fixed.identity) && may_be(slave);
+        // A refused terminal may be any product; a slave of the product that was found comes first.
+        let returned = self.slaves.iter().position(is_it);
+        let returned = returned.or_else(|| self.slaves.iter().position(may_be));
         let is_awaited = self.slaves.iter().any(|slave| slave.is_used() && belongs_here(slave));
         self.confirm_mark(place as u16, places).await?;
         let (named, is_extra) = match returned {
@@ -115,6 +116,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         }
         let station = STATION_BASE.wrapping_add(number as u16);
         self.name(station).await?;
+        self.add_clock(number).await;
         self.inspect(number..number + 1).await;
         Ok(station)
     }

@@ -111,10 +111,16 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             }
             from => from,
         };
+        // What was read of a refused terminal may have been damaged: it is read again, and goes through INIT.
+        let is_refused = slave.is_refused_terminal();
+        let from = from.filter(|_| !is_refused);
         if !matches!(from, Some(AlState::PreOperational | AlState::SafeOperational)) {
             self.generation = self.generation.wrapping_add(1);
             slave.generation = self.generation;
             slave.report = AlReport::default();
+            if is_refused {
+                self.read_again(number).await?;
+            }
             self.recognise(number).await?;
             self.reach_pre_operational(number).await?;
         }

@@ -96,6 +96,29 @@ fn drawing() -> DeviceEndpoint {
 }
 
 #[test]
+fn a_stop_with_the_number_of_another_request_is_carried_out_once() {
+    let mut endpoint = drawing();
+    let enable = say(&mut endpoint, 1, 100, &command(7, Command::Enable));
+    assert_eq!(enable.len(), 1);
+    endpoint.answer(7, Ok(()));
+    hear(&mut endpoint, 1);
+    let expected = DeviceEvent::Command {
+        id: 7,
+        command: Command::Stop,
+    };
+    assert_eq!(
+        say(&mut endpoint, 2, 100, &command(7, Command::Stop)).as_slice(),
+        &[expected]
+    );
+    assert!(say(&mut endpoint, 3, 100, &command(7, Command::Stop)).is_empty());
+    // The answer is that of the stop: it closes the path.
+    endpoint.answer(7, Ok(()));
+    assert!(say(&mut endpoint, 4, 100, &path(0, 2, false)).is_empty());
+    // A late repetition of the other request is none of a new one.
+    assert!(say(&mut endpoint, 5, 100, &command(7, Command::Enable)).is_empty());
+}
+
+#[test]
 fn another_version_is_answered_with_ours_and_everything_else_refused_until_the_right_greeting() {
     let mut endpoint: DeviceEndpoint = DeviceEndpoint::new(IDENTITY);
     let wrong = HostMessage::Hello(Hello {

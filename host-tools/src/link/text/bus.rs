@@ -192,6 +192,10 @@ pub fn bus_error(error: &BusError) -> String {
                 object(at)
             )
         }
+        BusError::ProcessLength { expected, actual } if actual < expected => format!(
+            "the slave shows {actual} bytes of process data in one direction, and had {expected} or more; its information \
+             memory may be damaged: acknowledge to read it again"
+        ),
         BusError::ProcessLength { expected, actual } => {
             format!("the slave has {actual} bytes of process data in one direction, more than {expected}; assign less")
         }
