@@ -25,6 +25,7 @@ mod matrix;
 mod outputs;
 mod outside;
 mod path_stop;
+mod path_stop_left;
 mod pen_output;
 mod position;
 mod robot;
