@@ -22,6 +22,7 @@ mod io_samples;
 mod limits;
 mod liveness;
 mod matrix;
+mod other_side;
 mod outputs;
 mod outside;
 mod path_stop;

@@ -30,8 +30,6 @@ pub const QUEUE_VERTICES: usize = QUEUE;
 const NEAR_PAPER: f64 = 0.5;
 /// Distance over the paper that a pen need not be lifted for, mm: less than the width of any line.
 const BESIDE_MM: f64 = 0.01;
-/// Largest difference of a joint from the angle that the planner would choose there, rad.
-const SAME_POSE_RAD: f64 = 1.0e-4;
 /// Bounds of the override, percent.
 const OVERRIDE_PERCENT: core::ops::RangeInclusive<u8> = 10..=200;
 
@@ -174,9 +172,7 @@ impl Trajectory {
         let Ok(position) = kinematics.forward(&pose) else {
             return false;
         };
-        let chosen_rad = kinematics.angles(&position.into());
-        let mut apart_rad = pose.0.iter().zip(chosen_rad).map(|(own, chosen)| (own - chosen).abs());
-        if !apart_rad.all(|apart| apart < SAME_POSE_RAD) {
+        if kinematics.other_side(&pose, &position).is_some() {
             return false;
         }
         self.motion.here = PathSample {
