@@ -491,7 +491,8 @@ impl Motion {
             }
             Activity::Parked { .. } if then == Then::Dropped => self.drop_path(),
             Activity::Parked { starved, .. } => *starved = false,
-            Activity::Lower(_, next) => {
+            Activity::Lower(lower, next) => {
+                lower.brake();
                 if *next != Some(Then::Dropped) {
                     *next = Some(then);
                 }
@@ -511,7 +512,8 @@ impl Motion {
                 let lifted = *lifted;
                 self.return_to_path(lifted);
             }
-            Activity::Lower(_, next @ Some(Then::Held)) => *next = None,
+            // The pen is lifted again, as far as it was lowered; then the path continues as after starvation.
+            Activity::Lower(_, next @ Some(Then::Held)) => *next = Some(Then::Starved),
             _ => return None,
         }
         Some(())
@@ -609,9 +611,14 @@ impl Motion {
             match self.activity {
                 Activity::Brake(then) => self.leave_path(then),
                 Activity::Lift(_, then) => self.park(then, true),
-                Activity::Lower(_, next) => {
+                Activity::Lower(_, None) => {
                     self.here.label = self.plan.sample().label;
-                    self.activity = next.map_or(Activity::Path, Activity::Brake);
+                    self.activity = Activity::Path;
+                }
+                // The hold came before the pen was down: back to where it was lifted to.
+                Activity::Lower(lower, Some(then)) => {
+                    let lift = self.straight(lower.from(), self.here.label);
+                    self.activity = Activity::Lift(lift, then);
                 }
                 Activity::Move(_) | Activity::Jog(_) => self.drop_path(),
                 Activity::Rest | Activity::Path | Activity::Parked { .. } => {}
