@@ -20,7 +20,7 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 /// Version of this protocol; both ends must agree.
-pub const PROTOCOL_VERSION: u16 = 14;
+pub const PROTOCOL_VERSION: u16 = 15;
 /// Slaves described in a status: all that the robot's bus can have.
 pub const SLAVES_REPORTED: usize = BUS_SLAVES_MAX;
 
@@ -191,6 +191,8 @@ pub struct Counters {
     pub link_errors: u32,
     /// Frames that the board's Ethernet controller dropped or could not send, and errors of its DMA.
     pub ethernet_errors: u32,
+    /// Stops on the path that left their envelope and ended in the drives' quick stop.
+    pub path_stops_left: u32,
 }
 
 /// One slave on the bus.

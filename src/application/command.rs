@@ -143,4 +143,13 @@ pub enum Refusal {
     },
     /// Homing by switches moves the axes: the drives need power first.
     NeedsPower,
+    /// A joint stands on the other side than the planner would choose: no motion can begin there.
+    OtherSide {
+        /// Axis, from 0.
+        axis: u8,
+        /// Its angle, rad.
+        angle_rad: f32,
+        /// The angle that the planner would choose, rad.
+        planned_rad: f32,
+    },
 }

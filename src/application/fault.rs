@@ -31,6 +31,40 @@ pub enum InputCause {
     Missing,
 }
 
+/// Why a stop on the path ended in the drives' quick stop: the part of its envelope that was left.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum PathStopFailure {
+    /// A joint was too far from the path.
+    Distance {
+        /// Axis, from 0.
+        axis: u8,
+        /// Distance from the setpoint, rad.
+        error_rad: f32,
+        /// Limit, rad.
+        limit_rad: f32,
+    },
+    /// A joint braked too little or too much.
+    Speed {
+        /// Axis, from 0.
+        axis: u8,
+        /// Velocity measured, rad/s.
+        measured_rad_s: f32,
+        /// Velocity planned for the moment of the measurement, rad/s.
+        planned_rad_s: f32,
+    },
+    /// The joints did not come to rest in time.
+    Time {
+        /// The fastest axis, from 0.
+        axis: u8,
+        /// Its measured velocity, rad/s.
+        measured_rad_s: f32,
+        /// Time since the stop began, ms.
+        passed_ms: u16,
+    },
+    /// The ring of setpoints ran dry before the joints had come to rest.
+    Dry,
+}
+
 /// The cause of a fault, with what was measured.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Fault {
@@ -240,6 +274,8 @@ pub enum Fault {
         /// What the switch did.
         failure: SearchFailure,
     },
+    /// A stop on the path left its envelope; the drives' quick stop ended it.
+    PathStopLeft(PathStopFailure),
 }
 
 impl From<ClockFault> for Fault {
@@ -287,6 +323,12 @@ impl Fault {
             self,
             Self::EmergencyStop(StopSource::Link) | Self::CyclesLate { .. } | Self::MotionStalled { .. }
         )
+    }
+
+    /// Whether this fault tells how the stop failed that `known` ordered, or names the same failure more precisely.
+    pub const fn ends_stop_for(&self, known: &Self) -> bool {
+        matches!(self, Self::PathStopLeft(_))
+            && (known.keeps_path() || matches!(known, Self::FollowingError { .. } | Self::SetpointUnderrun))
     }
 
     /// Whether this fault describes the event for which `known` was latched more precisely. The supervisor knows which

@@ -20,7 +20,7 @@ mod step;
 pub use action::{Action, Power};
 pub use command::{Command, IoRefusal, Refusal};
 pub use condition::{BusCondition, Condition, Progress};
-pub use fault::{Fault, InputCause, StopSource};
+pub use fault::{Fault, InputCause, PathStopFailure, StopSource};
 pub use mode::Mode;
 
 use crate::motion::MotionCommand;

@@ -24,10 +24,10 @@ impl Application {
     ) -> Vec<Action, ACTIONS_MAX> {
         self.now_ms = now_ms;
         self.condition = *condition;
-        if let Some(fault) = condition.fault
-            && self.fault.is_none()
-        {
-            self.enter_fault(fault);
+        match (condition.fault, self.fault) {
+            (Some(fault), None) => self.enter_fault(fault),
+            (Some(fault), Some(known)) if fault.ends_stop_for(&known) => self.fault = Some(fault),
+            _ => {}
         }
         if progress.stalled_ms > 0 && self.fault.is_none() {
             self.enter_fault(Fault::MotionStalled {

@@ -439,6 +439,26 @@ fn the_first_fault_is_kept_when_others_follow() {
 }
 
 #[test]
+fn a_stop_that_left_its_path_replaces_the_order_of_the_stop_and_no_other_fault() {
+    let left = Fault::PathStopLeft(PathStopFailure::Dry);
+    let mut plant = Plant::drawing();
+    plant.order(Command::Stop).unwrap();
+    plant.condition.fault = Some(left);
+    plant.run(100);
+    assert_eq!(plant.application.fault(), Some(left));
+    let drive = Fault::Drive {
+        axis: 2,
+        status_word: 0x0008,
+    };
+    let mut plant = Plant::drawing();
+    plant.condition.fault = Some(drive);
+    plant.run(10);
+    plant.condition.fault = Some(left);
+    plant.run(100);
+    assert_eq!(plant.application.fault(), Some(drive));
+}
+
+#[test]
 fn a_stop_keeps_the_path_until_the_bus_fails_and_every_fault_that_doubts_the_drives_is_a_quick_stop() {
     let drive = Fault::Drive {
         axis: 2,

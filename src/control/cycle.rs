@@ -77,6 +77,8 @@ pub struct SamplerCounters {
     pub cycles_late: u32,
     /// Milliseconds without a setpoint while following.
     pub underruns: u32,
+    /// Stops on the path that have left their envelope ([`Fault::PathStopLeft`]).
+    pub path_stops_left: u32,
     /// Reports dropped because their queue was full.
     pub reports_dropped: u32,
 }

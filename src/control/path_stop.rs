@@ -11,13 +11,15 @@
 //! millisecond in which the stop begins brakes already, and the command has no step.
 //!
 //! `Envelope` supervises the stop each millisecond, in the way of a safe stop 1 with a monitored ramp (SS1-r, IEC
-//! 61800-5-2): each joint's measured velocity stays near the planned one, and the time is limited.
+//! 61800-5-2): each joint's measured velocity stays near the planned one, and the time is limited. What is left of it, and by
+//! which joint, is a [`PathStopFailure`].
 //!
 //! Invariants: every setpoint is on the path that the ring holds; the rate never grows; it is 0 within `1 / SHARE_MIN` of
 //! the time that the quick stop would take, for a path on which the joints keep their speed.
 
 use super::cycle::Queued;
 use super::window::Window;
+use crate::application::PathStopFailure;
 use crate::config::Axis;
 use crate::motion::Setpoint;
 use crate::robots::AXES;
@@ -130,9 +132,9 @@ impl PathStop {
     pub(super) fn watch(&mut self, measured_rad_s: &[f64], planned_rad_s: &[f64], still_ms: u16) -> Progress {
         let is_over = self.rate <= 0.0 && still_ms >= STILL_MS && self.envelope.passed_ms >= STILL_MS;
         match self.envelope.step(measured_rad_s, planned_rad_s) {
-            true if is_over => Progress::Stands,
-            true => Progress::Brakes,
-            false => Progress::Left,
+            Ok(()) if is_over => Progress::Stands,
+            Ok(()) => Progress::Brakes,
+            Err(failure) => Progress::Left(failure),
         }
     }
 
@@ -227,14 +229,14 @@ impl Cubic<'_> {
 }
 
 /// How a stop on the path goes on.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) enum Progress {
     /// It brakes, within its envelope.
     Brakes,
     /// The joints stand.
     Stands,
     /// The envelope is left: a joint is too fast or too slow, or the time is over.
-    Left,
+    Left(PathStopFailure),
 }
 
 /// Time for which all joints have to be at rest at the end, ms.
@@ -286,19 +288,52 @@ impl Envelope {
         }
     }
 
-    /// Advances by a millisecond; returns whether the stop is within its envelope.
-    fn step(&mut self, measured_rad_s: &[f64], planned_rad_s: &[f64]) -> bool {
+    /// Advances by a millisecond.
+    ///
+    /// # Errors
+    /// The part of the envelope that is left, with the joint that is farthest outside.
+    fn step(&mut self, measured_rad_s: &[f64], planned_rad_s: &[f64]) -> Result<(), PathStopFailure> {
         self.passed_ms = self.passed_ms.saturating_add(1);
+        let mut worst = (1.0, 0, 0.0, 0.0);
         let mut is_near = true;
         let joints = measured_rad_s.iter().zip(planned_rad_s);
-        for ((measured, planned), (first, added)) in joints.zip(self.first_rad_s.iter_mut().zip(&self.added_rad_s)) {
+        let own = self.first_rad_s.iter_mut().zip(&self.added_rad_s);
+        for (axis, ((measured, planned), (first, added))) in (0..).zip(joints.zip(own)) {
             *first = first.max(planned.abs());
-            let off = (1.0 - SLOPE) * (*first - planned.abs()) + SPEED_SHARE * *first + added;
-            // A velocity that is not a number is not near.
-            is_near &= (measured - planned).abs() <= off;
+            let most = (1.0 - SLOPE) * (*first - planned.abs()) + SPEED_SHARE * *first + added;
+            let off = (measured - planned).abs() / most;
+            if off > worst.0 || off.is_nan() {
+                is_near = false;
+                worst = (off, axis, *measured, *planned);
+            }
         }
         self.off_ramp_ms = if is_near { 0 } else { self.off_ramp_ms.saturating_add(1) };
-        self.off_ramp_ms < OFF_RAMP_MS && self.passed_ms <= self.longest_ms
+        let (_, axis, measured, planned) = worst;
+        if self.off_ramp_ms >= OFF_RAMP_MS {
+            return Err(PathStopFailure::Speed {
+                axis,
+                measured_rad_s: measured as f32,
+                planned_rad_s: planned as f32,
+            });
+        }
+        if self.passed_ms > self.longest_ms {
+            return Err(self.too_long(measured_rad_s));
+        }
+        Ok(())
+    }
+
+    /// Names the fastest joint of a stop that takes too long.
+    fn too_long(&self, measured_rad_s: &[f64]) -> PathStopFailure {
+        let joints = (0..).zip(measured_rad_s);
+        let (axis, measured_rad_s) = joints.fold((0, 0.0_f64), |fastest, (axis, measured)| {
+            let is_faster = measured.abs() > fastest.1.abs();
+            if is_faster { (axis, *measured) } else { fastest }
+        });
+        PathStopFailure::Time {
+            axis,
+            measured_rad_s: measured_rad_s as f32,
+            passed_ms: self.passed_ms,
+        }
     }
 }
 

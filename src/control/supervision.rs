@@ -1,7 +1,8 @@
 //! Supervision of the axes: the faults that the critical tasks detect and answer with a stop.
 //!
 //! One [`Supervision`] is stepped every millisecond in the critical task, with bounded work and without a lock. It
-//! latches the first cause until a slower task clears it; later causes do not replace the first.
+//! latches the first cause until a slower task clears it; later causes do not replace the first, except that a stop on the
+//! path that fails replaces what ordered it.
 
 use crate::application::Fault;
 use crate::board::Interlock;
@@ -109,10 +110,13 @@ impl Supervision {
         *self = Self::new();
     }
 
-    /// Latches `fault` unless a cause is latched already.
+    /// Latches `fault` unless a cause is latched already. The failure of a stop replaces what ordered the stop.
     #[cold]
     pub fn latch(&mut self, fault: Fault) {
-        self.fault.get_or_insert(fault);
+        let known = *self.fault.get_or_insert(fault);
+        if fault.ends_stop_for(&known) {
+            self.fault = Some(fault);
+        }
         self.stops_at_once |= !fault.keeps_path();
     }
 

@@ -187,6 +187,7 @@ impl<'a> Coordinator<'a> {
         self.counters.cycles = report.counters.cycles;
         self.counters.cycles_late = report.counters.cycles_late;
         self.counters.setpoint_underruns = report.counters.underruns;
+        self.counters.path_stops_left = report.counters.path_stops_left;
         self.counters.frames_lost = report.bus.frames_lost;
         self.counters.frames_ignored = report.bus.frames_ignored();
         self.counters.working_counter_errors = report.bus.working_counter_errors;

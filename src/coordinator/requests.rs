@@ -81,6 +81,7 @@ impl Coordinator<'_> {
             },
             (other, _) => other,
         };
+        self.check_side(command)?;
         self.check_target(command)?;
         self.check_homing(command)?;
         self.application.command(command)?;
@@ -93,6 +94,33 @@ impl Coordinator<'_> {
         }
         self.carry_out_all();
         Ok(())
+    }
+
+    /// Checks, before power or a motion is taken, that the planner can begin where the robot stands: without power its links can
+    /// be pushed where no motion leads.
+    fn check_side(&self, command: Command) -> Result<(), Refusal> {
+        let begins = match self.application.mode() {
+            Mode::DrivesOff => command == Command::Enable,
+            Mode::Idle => matches!(
+                command,
+                Command::Draw { .. } | Command::Move { .. } | Command::Pen { .. } | Command::Jog { .. }
+            ),
+            _ => false,
+        };
+        // The pose of a robot that is not referenced is not known.
+        let admission = self
+            .admission
+            .as_ref()
+            .filter(|_| begins && self.condition.unreferenced.is_none());
+        admission.map_or(Ok(()), |admission| {
+            admission
+                .check_side(&self.condition.pose)
+                .map_err(|side| Refusal::OtherSide {
+                    axis: side.joint,
+                    angle_rad: side.angle_rad as f32,
+                    planned_rad: side.planned_rad as f32,
+                })
+        })
     }
 
     /// Checks that a single motion has a target inside the work area, or leads into the area.

@@ -48,7 +48,7 @@ fn distance(a: [f64; 3], b: [f64; 3]) -> f64 {
 }
 
 /// Where the tool is each millisecond.
-type Trace = Vec<[f64; 3]>;
+pub(crate) type Trace = Vec<[f64; 3]>;
 
 /// Distance of a place from a trace in plan view, mm, and how far it is below the trace there, mm.
 fn beside(trace: &Trace, place: [f64; 3]) -> [f64; 2] {
@@ -122,7 +122,7 @@ fn follow(robot: &mut Robot, trace: &Trace) -> Stopped {
 }
 
 /// A straight line of `length_mm` with the pen down, aslant through the middle of a machine's paper.
-fn line(config: &Config, centre_mm: [f64; 2], length_mm: f64) -> Vec<PathVertex> {
+pub(crate) fn line(config: &Config, centre_mm: [f64; 2], length_mm: f64) -> Vec<PathVertex> {
     let (down_mm, lift_mm) = (config.paper.pen_down_z_mm, config.paper.pen_lift_mm);
     let (sin, cos) = 0.35_f64.sin_cos();
     let vertex = |along: f64, z_mm: f64, pen: Pen| PathVertex {
@@ -140,7 +140,7 @@ fn line(config: &Config, centre_mm: [f64; 2], length_mm: f64) -> Vec<PathVertex>
 }
 
 /// A machine's configuration at a speed of the tool, and the middle and length of its line.
-fn machine(index: usize, speed_mm_s: f64) -> (Config, [f64; 2], f64) {
+pub(crate) fn machine(index: usize, speed_mm_s: f64) -> (Config, [f64; 2], f64) {
     let mut config = MACHINES[index].load().unwrap();
     config.motion.speed_mm_s = speed_mm_s;
     config.motion.travel_speed_mm_s = config.motion.travel_speed_mm_s.max(speed_mm_s);
@@ -155,7 +155,7 @@ fn machine(index: usize, speed_mm_s: f64) -> (Config, [f64; 2], f64) {
 }
 
 /// With power and homed, by whichever way the machine is homed.
-fn ready(config: &Config) -> Robot {
+pub(crate) fn ready(config: &Config) -> Robot {
     if !config.axes.iter().any(|axis| axis.home.io.is_some()) {
         return Robot::idle_with(config);
     }
@@ -171,7 +171,7 @@ fn ready(config: &Config) -> Robot {
 }
 
 /// Draws to the end; where the tool is each millisecond.
-fn undisturbed(robot: &mut Robot, path: Vec<PathVertex>) -> Trace {
+pub(crate) fn undisturbed(robot: &mut Robot, path: Vec<PathVertex>) -> Trace {
     robot.draw(path);
     let mut trace = vec![place(robot)];
     for _ in 0..60_000 {
@@ -185,7 +185,7 @@ fn undisturbed(robot: &mut Robot, path: Vec<PathVertex>) -> Trace {
 }
 
 /// Lets the tool come to the middle of its line, in the direction of the line.
-fn run_to_the_middle(robot: &mut Robot, centre_mm: [f64; 2]) {
+pub(crate) fn run_to_the_middle(robot: &mut Robot, centre_mm: [f64; 2]) {
     let mut before = place(robot);
     for _ in 0..60_000 {
         robot.run(1);
@@ -301,7 +301,7 @@ fn mixed() -> Vec<PathVertex> {
     path
 }
 
-fn configured(mode: AxisMode, speed_mm_s: f64) -> Config {
+pub(crate) fn configured(mode: AxisMode, speed_mm_s: f64) -> Config {
     let mut config = with(mode, 250.0);
     config.motion.speed_mm_s = speed_mm_s;
     config
@@ -485,7 +485,11 @@ fn a_fault_in_a_stop_on_the_path_is_a_quick_stop_as_soon_as_in_a_drawing() {
                 robot.speed_rad_s()
             );
             assert_described_standstill(robot, |fault| {
-                is_link_stop(fault) || matches!(fault, Fault::SlaveLost { .. } | Fault::SlaveState { .. })
+                is_link_stop(fault)
+                    || matches!(
+                        fault,
+                        Fault::SlaveLost { .. } | Fault::SlaveState { .. } | Fault::PathStopLeft(_)
+                    )
             });
             robot.emergency_stop(false);
             if let Some(number) = deaf {

@@ -13,7 +13,7 @@ use super::heading::Winding;
 use super::work_area::{Outside, WorkArea};
 use super::{Pen, Refusal, RefusalReason, Vertex, jog};
 use crate::robots::vector::{Vector, add_scaled, length, subtract};
-use crate::robots::{GeometryError, JointAngles, Position};
+use crate::robots::{GeometryError, JointAngles, OtherSide, Position};
 use crate::settings::{Orientation, Plane, Settings};
 
 /// Distance between checked points on a leg, mm.
@@ -97,6 +97,19 @@ impl Admission {
         self.wound_at = Some(vertex.position);
         self.previous = Some(vertex.position);
         Ok(())
+    }
+
+    /// Checks that the planner can begin a motion where the robot stands.
+    ///
+    /// # Errors
+    /// The joint that stands on the other side.
+    pub fn check_side(&self, pose: &JointAngles) -> Result<(), OtherSide> {
+        let kinematics = self.area.kinematics();
+        let side = kinematics
+            .forward(pose)
+            .ok()
+            .and_then(|at| kinematics.other_side(pose, &at));
+        side.map_or(Ok(()), Err)
     }
 
     /// Checks a straight move from a pose; the fourth axis keeps its angle.

@@ -91,6 +91,11 @@ impl Straight {
         }
     }
 
+    /// Where the move began.
+    pub(crate) fn from(&self) -> &Vector {
+        &self.from
+    }
+
     fn duration_s(&self) -> f64 {
         if self.speed > 0.0 {
             self.length_mm / self.speed + self.speed / self.acceleration

@@ -30,8 +30,6 @@ pub const QUEUE_VERTICES: usize = QUEUE;
 const NEAR_PAPER: f64 = 0.5;
 /// Distance over the paper that a pen need not be lifted for, mm: less than the width of any line.
 const BESIDE_MM: f64 = 0.01;
-/// Largest difference of a joint from the angle that the planner would choose there, rad.
-const SAME_POSE_RAD: f64 = 1.0e-4;
 /// Bounds of the override, percent.
 const OVERRIDE_PERCENT: core::ops::RangeInclusive<u8> = 10..=200;
 
@@ -174,9 +172,7 @@ impl Trajectory {
         let Ok(position) = kinematics.forward(&pose) else {
             return false;
         };
-        let chosen_rad = kinematics.angles(&position.into());
-        let mut apart_rad = pose.0.iter().zip(chosen_rad).map(|(own, chosen)| (own - chosen).abs());
-        if !apart_rad.all(|apart| apart < SAME_POSE_RAD) {
+        if kinematics.other_side(&pose, &position).is_some() {
             return false;
         }
         self.motion.here = PathSample {
@@ -495,7 +491,8 @@ impl Motion {
             }
             Activity::Parked { .. } if then == Then::Dropped => self.drop_path(),
             Activity::Parked { starved, .. } => *starved = false,
-            Activity::Lower(_, next) => {
+            Activity::Lower(lower, next) => {
+                lower.brake();
                 if *next != Some(Then::Dropped) {
                     *next = Some(then);
                 }
@@ -515,7 +512,8 @@ impl Motion {
                 let lifted = *lifted;
                 self.return_to_path(lifted);
             }
-            Activity::Lower(_, next @ Some(Then::Held)) => *next = None,
+            // The pen is lifted again, as far as it was lowered; then the path continues as after starvation.
+            Activity::Lower(_, next @ Some(Then::Held)) => *next = Some(Then::Starved),
             _ => return None,
         }
         Some(())
@@ -613,9 +611,14 @@ impl Motion {
             match self.activity {
                 Activity::Brake(then) => self.leave_path(then),
                 Activity::Lift(_, then) => self.park(then, true),
-                Activity::Lower(_, next) => {
+                Activity::Lower(_, None) => {
                     self.here.label = self.plan.sample().label;
-                    self.activity = next.map_or(Activity::Path, Activity::Brake);
+                    self.activity = Activity::Path;
+                }
+                // The hold came before the pen was down: back to where it was lifted to.
+                Activity::Lower(lower, Some(then)) => {
+                    let lift = self.straight(lower.from(), self.here.label);
+                    self.activity = Activity::Lift(lift, then);
                 }
                 Activity::Move(_) | Activity::Jog(_) => self.drop_path(),
                 Activity::Rest | Activity::Path | Activity::Parked { .. } => {}

@@ -12,7 +12,7 @@ use super::robot::Robot;
 use super::vibration::Vibration;
 use etherpen::config::Config;
 use etherpen::robots::{AXES, JointAngles, LINEAR_MM_PER_RAD, MAIN_AXES, Position};
-use etherpen_segment::{Load, Shaft};
+use etherpen_segment::{Load, STEP_S, Shaft};
 
 /// Motion of the joints that only have a torque.
 #[derive(Clone, Debug)]
@@ -36,7 +36,12 @@ pub(super) struct Machine {
     /// Where the axes are that the machine lacks.
     resting: JointAngles,
     pen_lift: Option<PenLift>,
+    /// The joint, from 0, that a hand pushes, and the angle to which it does, rad.
+    push: Option<(usize, f64)>,
 }
+
+/// Speed with which a hand pushes a joint, rad/s.
+const PUSH_RAD_S: f64 = 0.5;
 
 /// The joints of the axes that a machine lacks: a missing height is that of the paper, with the pen down. The other joints
 /// are at 0.
@@ -73,7 +78,25 @@ impl Machine {
             sheet: Sheet::new(physics.paper(&config.paper)),
             resting: resting(config),
             pen_lift: PenLift::new(config),
+            push: None,
         }
+    }
+
+    /// Pushes a joint, from 0, by hand to an angle, rad, against whatever holds it.
+    pub(super) fn push(&mut self, axis: usize, to_rad: f64) {
+        self.push = Some((axis, to_rad));
+    }
+
+    /// Pushes for a millisecond.
+    fn push_on(&mut self, joints: &mut [Joint]) {
+        let Some((axis, to_rad)) = self.push else { return };
+        let Some(joint) = joints.get_mut(axis) else { return };
+        let left_rad = to_rad - joint.angle_rad();
+        let most_rad = PUSH_RAD_S * STEP_S;
+        if left_rad.abs() <= most_rad {
+            self.push = None;
+        }
+        joint.turn(left_rad.clamp(-most_rad, most_rad) / STEP_S, STEP_S);
     }
 
     /// The joints of the axes that the machine lacks; the other joints are at 0.
@@ -136,6 +159,7 @@ impl Load for Machine {
             Motion::Smooth(dynamics) => dynamics.step(&mut joints),
             Motion::Coupled(coupled) => coupled.step(&mut joints),
         }
+        self.push_on(&mut joints);
         for (axis, joint) in joints.iter_mut().enumerate() {
             self.robot.limit(axis, joint);
         }

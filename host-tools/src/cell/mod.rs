@@ -235,6 +235,11 @@ impl Cell {
         self.switches.remove(removed);
     }
 
+    /// Pushes a joint, from 0, by hand to an angle, rad: at half a radian a second, against whatever holds it.
+    pub fn push(&mut self, axis: usize, to_rad: f64) {
+        self.segment.load_mut().push(axis, to_rad);
+    }
+
     /// Advances the time to `time_us` on the caller's clock; an earlier time than before does nothing.
     pub fn advance_to(&mut self, time_us: u64) {
         self.follow_machine();

@@ -237,6 +237,7 @@ pub fn view(status: &Status, silent_s: &[Option<u64>]) -> StatusView {
             ("planner overruns", counters.trajectory_overruns),
             ("telemetry dropped", counters.telemetry_dropped),
             ("link errors", counters.link_errors),
+            ("stops that left the path", counters.path_stops_left),
         ],
         io: Vec::new(),
     }

@@ -106,6 +106,17 @@ pub fn refusal(refusal: &Refusal) -> String {
         }
         Refusal::Io { io, reason } => io_refusal(*io, *reason),
         Refusal::NeedsPower => "homing by switches moves the axes: enable the drives first (etherpen enable)".into(),
+        Refusal::OtherSide {
+            axis,
+            angle_rad,
+            planned_rad,
+        } => format!(
+            "axis {} stands at {:.1} degrees, where the robot only works with {:.1}: no motion leads from one side to the \
+             other; switch the drives off, push the axis to the other side by hand, then enable again",
+            axis + 1,
+            angle_rad.to_degrees(),
+            planned_rad.to_degrees()
+        ),
         Refusal::NotFinite => "a value is not a finite number; check the input".into(),
         Refusal::NoPosition { axis } => format!("no position arrives from axis {}; check its drive", axis + 1),
         Refusal::PoseResolver { axis, difference_rad } => format!(

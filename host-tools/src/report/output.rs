@@ -119,6 +119,7 @@ impl<'a> Outcome<'a> {
             telemetry_dropped: since(last.telemetry_dropped, before.telemetry_dropped),
             link_errors: since(last.link_errors, before.link_errors),
             ethernet_errors: since(last.ethernet_errors, before.ethernet_errors),
+            path_stops_left: since(last.path_stops_left, before.path_stops_left),
         }
     }
 

@@ -176,7 +176,7 @@ fn a_joint_that_brakes_as_planned_or_a_little_later_is_within_the_envelope() {
         for ms in 0..90 {
             let measured = [planned(ms.max(late_ms) - late_ms); AXES];
             assert!(
-                envelope.step(&measured, &[planned(ms); AXES]),
+                envelope.step(&measured, &[planned(ms); AXES]).is_ok(),
                 "{ms} ms, {late_ms} ms late"
             );
         }
@@ -184,26 +184,53 @@ fn a_joint_that_brakes_as_planned_or_a_little_later_is_within_the_envelope() {
 }
 
 #[test]
-fn a_joint_that_does_not_brake_or_brakes_softly_or_never_ends_leaves_the_envelope() {
+fn a_joint_that_does_not_brake_or_brakes_softly_or_never_ends_leaves_the_envelope_and_is_named() {
     for (share, longest_ms) in [(0.0, 11), (0.5, 27)] {
         let (mut envelope, planned) = envelope();
-        let left_ms = (0..90).find(|ms| {
-            let measured = [0.0, 0.0, -5.0 + share * (5.0 - planned(*ms)), 0.0];
-            !envelope.step(&measured, &[planned(*ms); AXES])
+        let left = (0..90).find_map(|ms| {
+            let planned = planned(ms);
+            let measured = [planned, planned, -5.0 + share * (5.0 - planned), planned];
+            let failure = envelope.step(&measured, &[planned, planned, -planned, planned]).err()?;
+            Some((ms, failure))
         });
-        assert!(left_ms.is_some_and(|ms| ms <= longest_ms), "share {share}: {left_ms:?}");
+        let (ms, failure) = left.expect("it leaves");
+        assert!(ms <= longest_ms, "share {share}: {ms}");
+        assert!(
+            matches!(failure, PathStopFailure::Speed { axis: 2, measured_rad_s, .. } if measured_rad_s < -2.0),
+            "{failure:?}"
+        );
     }
     // A feedback that is frozen shows a joint that stands.
     let (mut envelope, planned) = envelope();
-    let left_ms = (0..90).find(|ms| !envelope.step(&[0.0; AXES], &[planned(*ms); AXES]));
-    assert_eq!(left_ms, Some(2));
+    let left = (0..90).find_map(|ms| {
+        let speeds = [planned(ms), 0.0, planned(ms), planned(ms)];
+        Some((ms, envelope.step(&speeds, &[planned(ms); AXES]).err()?))
+    });
+    let expected = PathStopFailure::Speed {
+        axis: 1,
+        measured_rad_s: 0.0,
+        planned_rad_s: 4.8,
+    };
+    assert_eq!(left, Some((2, expected)));
     let mut envelope = Envelope::new(0.05, 5, &axes(100.0));
-    let over_ms = (0..500).find(|_| !envelope.step(&[0.0; AXES], &[0.0; AXES]));
+    let over = (0..500).find_map(|ms| {
+        let creeps = [0.0, 0.0, 0.1, -0.2];
+        Some((ms, envelope.step(&creeps, &[0.0; AXES]).err()?))
+    });
     // 1.2 times 83 ms and what was kept, and 10 ms.
-    assert_eq!(over_ms, Some(116));
+    let expected = PathStopFailure::Time {
+        axis: 3,
+        measured_rad_s: -0.2,
+        passed_ms: 117,
+    };
+    assert_eq!(over, Some((116, expected)));
     let mut envelope = envelope_of_nothing();
     for is_within in [true, true, false] {
-        assert_eq!(envelope.step(&[f64::NAN; AXES], &[0.0; AXES]), is_within);
+        let judged = envelope.step(&[0.0, f64::NAN, 0.0, 0.0], &[0.0; AXES]);
+        assert_eq!(judged.is_ok(), is_within);
+        if let Err(failure) = judged {
+            assert!(matches!(failure, PathStopFailure::Speed { axis: 1, .. }), "{failure:?}");
+        }
     }
 }
 
@@ -221,7 +248,9 @@ fn a_position_that_is_reported_twice_does_not_end_the_stop() {
             _ => 1.0,
         };
         assert!(
-            envelope.step(&[factor * planned(ms); AXES], &[planned(ms); AXES]),
+            envelope
+                .step(&[factor * planned(ms); AXES], &[planned(ms); AXES])
+                .is_ok(),
             "{ms} ms"
         );
     }

@@ -1,15 +1,17 @@
 //! The sampler while it brakes on the path: the setpoints of [`PathStop`](crate::control::path_stop) take the place of the
 //! ring's.
 //!
-//! Invariant: when a stop on the path ends by itself or by a fault, the drives' quick stop begins in the same millisecond. An
-//! order ends it too; while the robot stops, the operating modes give none but the quick stop.
+//! Invariant: when a stop on the path ends by itself or by a fault, the drives' quick stop begins in the same millisecond; a stop
+//! that has left its envelope is latched as [`Fault::PathStopLeft`] and counted. An order ends it too; while the robot stops, the
+//! operating modes give none but the quick stop.
 
 use super::Sampler;
-use crate::application::Power;
+use crate::application::{Fault, PathStopFailure, Power};
 use crate::config::AxisMode;
 use crate::control::path_stop::Progress;
 use crate::control::position::PositionController;
 use crate::drives::io::{IoGroup, IoTrigger};
+use crate::robots::AXES;
 
 impl<G: IoTrigger + IoGroup> Sampler<'_, G> {
     /// Begins a stop on the path; without a path, with drives or feedback in doubt, or if the quick stop itself takes too
@@ -60,7 +62,7 @@ impl<G: IoTrigger + IoGroup> Sampler<'_, G> {
             .epoch
             .and_then(|epoch| self.path_stop.step(&mut self.setpoints, epoch, axes));
         let Some(next) = next else {
-            self.stop_at_once();
+            self.leave_path(PathStopFailure::Dry);
             self.window.clear();
             return (false, true);
         };
@@ -83,13 +85,45 @@ impl<G: IoTrigger + IoGroup> Sampler<'_, G> {
             return;
         }
         if stops_at_once || !self.robot.is_in_operation() {
-            return self.stop_at_once();
+            return match self.farthest_from_path() {
+                Some(failure) => self.leave_path(failure),
+                None => self.stop_at_once(),
+            };
         }
         let planned_rad_s = self.controllers.each_ref().map(PositionController::velocity_at_age);
         let measured_rad_s = self.now.measured_rad_s.get(..self.used).unwrap_or_default();
         match self.path_stop.watch(measured_rad_s, &planned_rad_s, self.still_ms) {
             Progress::Brakes => {}
-            Progress::Stands | Progress::Left => self.stop_at_once(),
+            Progress::Stands => self.stop_at_once(),
+            Progress::Left(failure) => self.leave_path(failure),
         }
+    }
+
+    /// Ends a stop on the path that has left its envelope by the drives' quick stop; latches and counts it. What was only
+    /// predicted is no reason to name a joint: the bus is.
+    #[cold]
+    fn leave_path(&mut self, failure: PathStopFailure) {
+        if failure == PathStopFailure::Dry || self.now.valid == [true; AXES] {
+            self.supervision.latch(Fault::PathStopLeft(failure));
+            self.counters.path_stops_left = self.counters.path_stops_left.wrapping_add(1);
+        }
+        self.stop_at_once();
+    }
+
+    /// The first joint that is farther from the path than its following error may be.
+    #[cold]
+    fn farthest_from_path(&self) -> Option<PathStopFailure> {
+        let joints = self.axes.iter().zip(&self.controllers).zip(&self.now.measured_rad);
+        let mut joints = (0..).zip(joints).take(self.used);
+        joints.find_map(|(axis, ((config, controller), measured_rad))| {
+            let error_rad = (controller.setpoint_at_age() - measured_rad).abs();
+            let limit_rad = config.following_error_max_rad;
+            let is_near = error_rad <= limit_rad;
+            (!is_near).then_some(PathStopFailure::Distance {
+                axis,
+                error_rad: error_rad as f32,
+                limit_rad: limit_rad as f32,
+            })
+        })
     }
 }

@@ -1,4 +1,5 @@
 use super::*;
+use crate::application::PathStopFailure;
 
 fn well() -> Observation {
     Observation {
@@ -172,6 +173,22 @@ fn the_first_cause_stays_until_it_is_cleared() {
     assert_eq!(supervision.fault(), Some(Fault::SetpointUnderrun));
     supervision.clear();
     assert_eq!(supervision.fault(), None);
+}
+
+#[test]
+fn the_failure_of_a_stop_replaces_what_ordered_the_stop_and_no_other_cause() {
+    let left = Fault::PathStopLeft(PathStopFailure::Dry);
+    for (first, expected) in [
+        (Fault::CyclesLate { late: 11, limit: 10 }, left),
+        (Fault::SetpointUnderrun, left),
+        (Fault::ReferenceLost { axis: 1 }, Fault::ReferenceLost { axis: 1 }),
+    ] {
+        let mut supervision = Supervision::new();
+        supervision.latch(first);
+        supervision.latch(left);
+        assert_eq!(supervision.fault(), Some(expected));
+        assert!(supervision.stops_at_once());
+    }
 }
 
 #[test]

@@ -10,6 +10,7 @@ mod noise;
 mod orientation;
 mod paths;
 mod pen;
+mod promptness;
 mod properties;
 mod slow;
 mod tolerance;

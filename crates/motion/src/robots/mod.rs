@@ -107,6 +107,21 @@ pub enum KinematicsError {
     Apart,
 }
 
+/// Largest difference of a joint from the angle that the planner would choose there, rad.
+const SAME_POSE_RAD: f64 = 1.0e-4;
+
+/// A joint that stands on the other side than the planner would choose for the tool's position: no motion leads from one
+/// side to the other.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct OtherSide {
+    /// Joint, from 0: the one whose angle differs most.
+    pub joint: u8,
+    /// Its angle, rad.
+    pub angle_rad: f64,
+    /// The angle that the planner would choose, rad.
+    pub planned_rad: f64,
+}
+
 /// Derivatives of the main axes' angles along a path.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct JointRows {
@@ -262,6 +277,27 @@ impl Kinematics {
             Self::Scara(scara) => scara.angles(point),
             Self::LinearDelta(delta) => delta.angles(point),
         }
+    }
+
+    /// The joint that stands on the other side than the planner would choose for the tool's position `at`, if there is one.
+    #[must_use]
+    pub fn other_side(&self, pose: &JointAngles, at: &Position) -> Option<OtherSide> {
+        let planned = self.angles(&Vector::from(*at));
+        let joints = (0u8..).zip(pose.0.into_iter().zip(planned));
+        let apart_rad = |side: &OtherSide| (side.angle_rad - side.planned_rad).abs();
+        joints.fold(
+            None,
+            |farthest: Option<OtherSide>, (joint, (angle_rad, planned_rad))| {
+                let side = OtherSide {
+                    joint,
+                    angle_rad,
+                    planned_rad,
+                };
+                let is_same = apart_rad(&side) < SAME_POSE_RAD;
+                let is_nearer = farthest.is_some_and(|farthest| apart_rad(&side) <= apart_rad(&farthest));
+                if is_same || is_nearer { farthest } else { Some(side) }
+            },
+        )
     }
 
     /// Derivatives of the main axes' angles along a path through `point` with the unit tangent `tangent` and the

@@ -288,6 +288,7 @@ fn growth(before: &Counters, after: &Counters) -> Counters {
         telemetry_dropped: after.telemetry_dropped.wrapping_sub(before.telemetry_dropped),
         link_errors: after.link_errors.wrapping_sub(before.link_errors),
         ethernet_errors: after.ethernet_errors.wrapping_sub(before.ethernet_errors),
+        path_stops_left: after.path_stops_left.wrapping_sub(before.path_stops_left),
     }
 }
 

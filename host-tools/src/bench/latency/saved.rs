@@ -189,6 +189,7 @@ fn sum(one: &Counters, other: &Counters) -> Counters {
         telemetry_dropped: one.telemetry_dropped.saturating_add(other.telemetry_dropped),
         link_errors: one.link_errors.saturating_add(other.link_errors),
         ethernet_errors: one.ethernet_errors.saturating_add(other.ethernet_errors),
+        path_stops_left: one.path_stops_left.saturating_add(other.path_stops_left),
     }
 }
 

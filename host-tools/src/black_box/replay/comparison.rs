@@ -255,6 +255,7 @@ fn is_the_samplers(fault: &Fault) -> bool {
             | Fault::SetpointUnderrun
             | Fault::FeedbackDeviation { .. }
             | Fault::FeedbackNoise { .. }
+            | Fault::PathStopLeft(_)
     )
 }
 

@@ -186,6 +186,12 @@ fn print(answer: &Answer, snapshot: &Snapshot) {
             counted(counters.working_counter_errors, "working counter error"),
             counted(counters.setpoint_underruns, "reference underrun")
         );
+        if counters.path_stops_left > 0 {
+            println!(
+                "{} left the path and ended in the drives' quick stop",
+                counted(counters.path_stops_left, "stop")
+            );
+        }
     }
     if let (Some(drawing), Some(progress)) = (answer.drawing, answer.progress) {
         println!(

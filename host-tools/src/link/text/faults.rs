@@ -3,7 +3,7 @@
 use super::bus::{PORT_HINT, al_state, bring_up_code, bring_up_step, identity_property, port_state};
 use super::one;
 use crate::axes::{self, Motion, Quantity};
-use etherpen::application::{Fault, InputCause, StopSource};
+use etherpen::application::{Fault, InputCause, PathStopFailure, StopSource};
 use etherpen::config::IoRole;
 use etherpen::control::search::SearchFailure;
 use etherpen::ethercat::error::IdentityProperty;
@@ -225,6 +225,7 @@ pub fn fault(fault: &Fault) -> String {
             };
             format!("axis {} {what}; {hint}, then acknowledge and home again", one(axis))
         }
+        Fault::PathStopLeft(failure) => path_stop_left(&failure),
         Fault::SharedOutput { slave, first, second } => format!(
             "io {} and io {} set the same output of slave {}; give it one name in [[io]] of etherpen.toml",
             one(first),
@@ -236,6 +237,55 @@ pub fn fault(fault: &Fault) -> String {
              scan)"
         ),
     }
+}
+
+/// What went wrong in a stop on the path, and what to try.
+fn path_stop_left(failure: &PathStopFailure) -> String {
+    let (what, hint) = match *failure {
+        PathStopFailure::Distance {
+            axis,
+            error_rad,
+            limit_rad,
+        } => (
+            format!(
+                "axis {} was {} off the path (limit {})",
+                one(axis),
+                told(axis, Quantity::Position, error_rad),
+                told(axis, Quantity::Position, limit_rad)
+            ),
+            "look for a collision or a drive that does not follow",
+        ),
+        PathStopFailure::Speed {
+            axis,
+            measured_rad_s,
+            planned_rad_s,
+        } => (
+            format!(
+                "axis {} moved with {} instead of {}",
+                one(axis),
+                told(axis, Quantity::Speed, measured_rad_s),
+                told(axis, Quantity::Speed, planned_rad_s)
+            ),
+            "check its drive, its resolver and axes.quick_stop_rad_s2",
+        ),
+        PathStopFailure::Time {
+            axis,
+            measured_rad_s,
+            passed_ms,
+        } => (
+            format!(
+                "after {passed_ms} ms axis {} still moved with {}",
+                one(axis),
+                told(axis, Quantity::Speed, measured_rad_s)
+            ),
+            "check its drive and its gains",
+        ),
+        PathStopFailure::Dry => (
+            "the controller ran out of setpoints".to_owned(),
+            "this is a firmware error, please report it",
+        ),
+    };
+    format!("a stop left its path: {what}; the drives' quick stop followed; {hint}, then acknowledge")
 }
 
 /// A controller's value of an axis, from 0, in the axis's unit.
@@ -336,6 +386,43 @@ mod tests {
             unknown.contains("slave 2 ") && unknown.contains("etherpen.toml"),
             "{unknown}"
         );
+    }
+
+    #[test]
+    fn a_stop_that_left_its_path_names_the_axis_and_the_part_of_the_envelope() {
+        let told = |failure| fault(&Fault::PathStopLeft(failure));
+        let distance = told(PathStopFailure::Distance {
+            axis: 0,
+            error_rad: 0.25,
+            limit_rad: 0.05,
+        });
+        assert!(
+            distance.contains("axis 1 was ") && distance.contains("(limit "),
+            "{distance}"
+        );
+        let speed = told(PathStopFailure::Speed {
+            axis: 2,
+            measured_rad_s: 1.5,
+            planned_rad_s: -0.5,
+        });
+        assert!(
+            speed.contains("axis 3 moved with ") && speed.contains(" instead of -"),
+            "{speed}"
+        );
+        let time = told(PathStopFailure::Time {
+            axis: 3,
+            measured_rad_s: 0.5,
+            passed_ms: 21,
+        });
+        assert!(time.contains("after 21 ms axis 4 "), "{time}");
+        let dry = told(PathStopFailure::Dry);
+        assert!(dry.contains("ran out of setpoints"), "{dry}");
+        for text in [distance, speed, time, dry] {
+            assert!(
+                text.starts_with("a stop left its path: ") && text.ends_with(", then acknowledge"),
+                "{text}"
+            );
+        }
     }
 
     #[test]
