@@ -31,6 +31,13 @@ pub(super) fn tolerances(settings: &Settings) -> Tolerances {
     }
 }
 
+/// Length of the moving average that the planner uses, ms: the configured one, or the longest shorter one whose deviation
+/// takes at most half of the tolerance.
+#[must_use]
+pub fn effective_jerk_window_ms(settings: &Settings) -> u16 {
+    averaging(settings).0
+}
+
 /// Length of the moving average, ms, and the deviation that it adds, mm: A T^2 / 24, plus A t^2 / 12 for setpoints the
 /// time t apart, which cut corners by A t^2 / 8 but average over t less.
 pub(super) fn averaging(settings: &Settings) -> (u16, f64) {

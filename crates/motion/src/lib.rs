@@ -52,6 +52,7 @@ mod work_area;
 mod work_volume;
 
 pub use admission::{Admission, LEG_CHECK_MM, LEG_MIN_MM};
+pub use averaging::effective_jerk_window_ms;
 pub use committed::{Observer, Passage};
 pub use outline::{Outline, Section, Station};
 pub use settings::Settings;
