@@ -8,8 +8,11 @@ use crate::interval::Interval;
 use crate::motion::{Stretch, curve};
 use crate::series::{Series, Series3, dot, range, squared_length};
 
-/// Legs considered before and behind the vertex.
+/// Legs considered before and behind the vertex, at least.
 const LEGS: usize = 4;
+/// Length of path considered before and behind the vertex, mm: the planner replaces dense legs over at most 2 mm of the
+/// path by one, which begins at the vertex, and rounds both ends of it.
+const REACH_MM: f64 = 4.5;
 /// Legs shorter than this are not counted, but considered, mm.
 const LEG_MIN_MM: f64 = 0.0005;
 /// Part of the limit that is small enough for no further bounds.
@@ -69,18 +72,20 @@ fn positive(value: Interval) -> Interval {
 
 /// The legs around a vertex, the nearest first.
 fn legs(path: &[[f64; 3]], vertex: u32) -> Vec<Leg> {
-    let counts = |ends: &[[f64; 3]]| {
+    let length = |ends: &[[f64; 3]]| {
         let way = [0, 1, 2].map(|axis| ends[1][axis] - ends[0][axis]);
-        way.iter().map(|way| way * way).sum::<f64>().sqrt() >= LEG_MIN_MM
+        way.iter().map(|way| way * way).sum::<f64>().sqrt()
     };
     let here = (vertex as usize).clamp(1, path.len().saturating_sub(1).max(1)) - 1;
     let reach = |legs: &mut dyn Iterator<Item = usize>| {
-        let mut left = LEGS;
+        let (mut left, mut way_mm) = (LEGS, 0.0);
         let mut taken = Vec::new();
         for leg in legs {
             taken.push(leg);
-            left -= usize::from(path.get(leg..leg + 2).is_some_and(counts));
-            if left == 0 {
+            let length_mm = path.get(leg..leg + 2).map_or(0.0, length);
+            left = left.saturating_sub(usize::from(length_mm >= LEG_MIN_MM));
+            way_mm += length_mm;
+            if left == 0 && way_mm >= REACH_MM {
                 break;
             }
         }

@@ -1,4 +1,4 @@
-//! The moving average of the setpoints: its longest length, and the tolerance that remains for shaping.
+//! Shares of the tolerance: the moving average and its longest length, merged vertices, and what remains for shaping.
 
 use crate::settings::Settings;
 
@@ -7,11 +7,18 @@ pub(crate) const TICK_S: f64 = 1.0e-3;
 /// Largest part of the tolerance that the moving average may use.
 const AVERAGE_PART_MAX: f64 = 0.5;
 
+/// Part of the tolerance that merged vertices may use.
+const MERGING_PART: f64 = 0.2;
+
+const _: () = assert!(AVERAGE_PART_MAX + MERGING_PART < 1.0);
+
 /// Tolerances for shaping, less the share of the moving average, mm.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Tolerances {
     pub(crate) drawing_mm: f64,
     pub(crate) travel_mm: f64,
+    /// Share of merged vertices, which a leg loses if it replaces others.
+    pub(crate) merging_mm: f64,
 }
 
 /// Tolerances for shaping: the configured ones less the part used by the moving average.
@@ -20,7 +27,15 @@ pub(super) fn tolerances(settings: &Settings) -> Tolerances {
     Tolerances {
         drawing_mm: settings.motion.tolerance_mm - average_mm,
         travel_mm: settings.motion.travel_tolerance_mm - average_mm,
+        merging_mm: MERGING_PART * settings.motion.tolerance_mm,
     }
+}
+
+/// Length of the moving average that the planner uses, ms: the configured one, or the longest shorter one whose deviation
+/// takes at most half of the tolerance.
+#[must_use]
+pub fn effective_jerk_window_ms(settings: &Settings) -> u16 {
+    averaging(settings).0
 }
 
 /// Length of the moving average, ms, and the deviation that it adds, mm: A T^2 / 24, plus A t^2 / 12 for setpoints the

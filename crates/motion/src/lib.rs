@@ -14,7 +14,7 @@
 //! 6. `scan`, `micro_interpolator`, `heading`: the fastest speed over a grid; 1 ms setpoints; angle of the fourth axis
 //! 7. `grid`, `progress`, `jog`, `straight`: points of a path; motions without a path
 //! 8. `stretches`, `admission`, `outline`: parts of a plan; checks of vertices; the shaped path for other programs
-//! 9. `plan`: speeds along the known path, down to rest at its end
+//! 9. `plan`, `merging`: speeds along the known path, down to rest at its end; vertices denser than the tolerance
 //! 10. `trajectory`: the trajectory stage with its commands
 #![no_std]
 #![forbid(unsafe_code)]
@@ -33,6 +33,7 @@ mod grid;
 mod heading;
 mod jog;
 mod limits;
+mod merging;
 mod micro_interpolator;
 mod outline;
 mod plan;
@@ -51,6 +52,7 @@ mod work_area;
 mod work_volume;
 
 pub use admission::{Admission, LEG_CHECK_MM, LEG_MIN_MM};
+pub use averaging::effective_jerk_window_ms;
 pub use committed::{Observer, Passage};
 pub use outline::{Outline, Section, Station};
 pub use settings::Settings;

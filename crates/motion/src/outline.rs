@@ -88,6 +88,7 @@ fn node(vertex: &Vertex) -> Node {
         pen: vertex.pen,
         stroke: vertex.stroke,
         count: 0,
+        merged: false,
     }
 }
 

@@ -73,6 +73,8 @@ pub(crate) struct Node {
     pub(crate) stroke: u32,
     /// Vertices executed when this one is reached.
     pub(crate) count: u32,
+    /// Whether the leg that leads here replaces the legs of merged vertices.
+    pub(crate) merged: bool,
 }
 
 impl Node {
@@ -81,6 +83,7 @@ impl Node {
         pen: Pen::Up,
         stroke: 0,
         count: 0,
+        merged: false,
     };
 }
 
@@ -206,6 +209,7 @@ impl Shaper {
             tolerances: Tolerances {
                 drawing_mm: 0.0,
                 travel_mm: 0.0,
+                merging_mm: 0.0,
             },
             dwells: false,
             pen_limited: false,
@@ -302,6 +306,10 @@ impl Shaper {
             self.tolerances.drawing_mm
         } else {
             self.tolerances.travel_mm
+        } - if node.merged || after.merged {
+            self.tolerances.merging_mm
+        } else {
+            0.0
         };
         let (short, long) = (length_in.min(length_out), length_in.max(length_out));
         // The spline passes the vertex at a sixth of the second difference: across the leg at most the longer leg's

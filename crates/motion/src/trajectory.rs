@@ -12,6 +12,7 @@ use super::averaging::{TICK_S, averaging};
 use super::committed::Observer;
 use super::jog::{self, Jog};
 use super::limits::Limits;
+use super::merging::Merger;
 use super::micro_interpolator::{MicroInterpolator, PathSample, Profile};
 use super::plan::{GROWTH, Pace, Plan};
 use super::progress::Watch;
@@ -71,6 +72,8 @@ struct Motion {
     starve_dwell_ms: u16,
     dead_man_ms: u16,
     queue: Ring<Node, QUEUE>,
+    /// Stands before the queue.
+    merger: Merger,
     shaper: Shaper,
     plan: Plan,
     activity: Activity,
@@ -100,6 +103,7 @@ impl Trajectory {
                 starve_dwell_ms: 0,
                 dead_man_ms: 0,
                 queue: Ring::new(Node::NONE),
+                merger: Merger::new(),
                 shaper: Shaper::new(),
                 plan: Plan::new(),
                 activity: Activity::Rest,
@@ -143,6 +147,7 @@ impl Trajectory {
         motion.pen_lift_mm = settings.paper.pen_lift_mm;
         motion.starve_dwell_ms = settings.motion.starve_dwell_ms;
         motion.dead_man_ms = settings.dead_man_ms;
+        motion.merger.configure(settings);
         motion.shaper.configure(settings);
         motion.plan.reconfigure(*area.kinematics(), limits, &settings.motion);
         motion.here = PathSample::NONE;
@@ -188,10 +193,11 @@ impl Trajectory {
 
     /// Number of vertices that can be pushed now.
     pub fn free(&self) -> usize {
-        self.motion.queue.room()
+        self.motion.room()
     }
 
-    /// Appends a vertex to the path. A vertex that coincides with the last one is merged with it.
+    /// Appends a vertex to the path. A vertex that coincides with the last one is merged with it; vertices denser than
+    /// the tolerance can tell are merged within a fifth of it.
     ///
     /// # Errors
     /// [`MotionRefusal::Full`], or [`MotionRefusal::Target`] for a vertex outside the work area. Its leg is checked by
@@ -299,7 +305,7 @@ impl Motion {
                 reason: RefusalReason::Outside(outside),
             }));
         }
-        if self.queue.room() == 0 {
+        if self.room() == 0 {
             return Err(MotionRefusal::Full);
         }
         if !self.joined {
@@ -314,19 +320,33 @@ impl Motion {
         self.finished = false;
         let count = self.pushed;
         let repeats = |other: &Vector| length(&subtract(&point, other)) < LEG_MIN_MM;
-        match self.queue.last_mut() {
+        match self.merger.last_mut().or(self.queue.last_mut()) {
             Some(last) if repeats(&last.point) => last.count = count,
             None if repeats(&self.shaper.node().point) => self.shaper.merge(count),
             _ => {
-                self.queue.push(Node {
+                let node = Node {
                     point,
                     pen: vertex.pen,
                     stroke: vertex.stroke,
                     count,
-                });
+                    merged: false,
+                };
+                let last = self
+                    .queue
+                    .last_mut()
+                    .map_or(self.shaper.node().point, |last| last.point);
+                for node in self.merger.take(node, &last).into_iter().flatten() {
+                    // There is room for both.
+                    self.queue.push(node);
+                }
             }
         }
         Ok(())
+    }
+
+    /// Number of vertices that can be pushed; the one that the merger holds has a place.
+    fn room(&self) -> usize {
+        self.queue.room().saturating_sub(usize::from(self.merger.holds()))
     }
 
     /// Lets a path begin with lifting the pen if it is near the paper: on its way to the first vertex it would leave ink.
@@ -347,6 +367,7 @@ impl Motion {
                 pen: Pen::Up,
                 stroke: vertex.stroke,
                 count: 0,
+                merged: false,
             });
         }
     }
@@ -363,11 +384,16 @@ impl Motion {
     }
 
     fn is_empty(&self) -> bool {
-        self.queue.length() == 0 && self.plan.exhausted()
+        self.queue.length() == 0 && !self.merger.holds() && self.plan.exhausted()
     }
 
     /// Shapes the vertices that have arrived, grows the grid, looks back, and detects starvation.
     fn feed(&mut self) {
+        if self.finished
+            && let Some(node) = self.merger.release()
+        {
+            self.queue.push(node);
+        }
         // Every leg adds at least one interval to the grid, so more legs would only wait for the grid.
         for _ in 0..GROWTH {
             if !self.plan.has_room() {
@@ -522,6 +548,7 @@ impl Motion {
     /// Discards the path and stays at the present position; only called at rest.
     fn drop_path(&mut self) {
         self.queue.clear();
+        self.merger.release();
         self.finished = false;
         self.activity = Activity::Rest;
         self.settle();

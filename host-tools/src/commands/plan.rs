@@ -5,12 +5,13 @@ use crate::axes::{AxisView, Motion, Quantity, axes, motions};
 use crate::drawing::preparation::compose::unusable;
 use crate::drawing::preparation::listed::read_path;
 use crate::drawing::preparation::source::SourceArguments;
-use crate::error::ProgramError;
+use crate::error::{ProgramError, code};
 use crate::output_file::OutputFile;
 use crate::output_file::{refuse_input, unwritable};
 use crate::planning::{CertificateReport, Findings, Table, analyse, certify};
 use crate::terminal::counted;
-use etherpen::config::{Config, Orientation};
+use etherpen::config::{Config, MotionLimits, Orientation};
+use etherpen::motion::effective_jerk_window_ms;
 use etherpen::robots::AXES;
 use serde::Serialize;
 use serde_json::Value;
@@ -28,7 +29,7 @@ const LIMIT_MAX: f64 = 1.0e12;
 ///
 /// A CSV with the heading `x_mm,y_mm,z_mm,pen` is in the robot's frame and planned exactly as listed: from rest at its
 /// first vertex to rest at its last, without an approach or added pen motion; vertices less than 0.0005 mm apart are
-/// merged. Without z_mm, and for a photograph, the path is what `draw` would draw: ordered, on the paper, with the
+/// merged, and those of legs shorter than four tolerances where a fifth of the tolerance allows it. Without z_mm, and for a photograph, the path is what `draw` would draw: ordered, on the paper, with the
 /// pen's lifts.
 ///
 /// The deviation is measured on every 1 ms reference, as its distance from the path near the vertex being passed, and
@@ -79,7 +80,8 @@ struct LimitArguments {
     /// Largest distance of the setpoints from the path, pen down and up.
     #[arg(long, value_name = "MM", value_parser = limit)]
     tolerance: Option<f64>,
-    /// Moving average of the setpoints, which limits jerk, whole milliseconds; 0 switches it off.
+    /// Moving average of the setpoints, which limits jerk, whole milliseconds; 0 switches it off. Refused if it would take
+    /// more than half of the tolerance.
     #[arg(long, value_name = "MS", value_parser = clap::value_parser!(u16).range(0..=i64::from(JERK_WINDOW_MAX_MS)))]
     jerk_window: Option<u16>,
     /// Axis 4: follow the direction of the path, or keep its angle.
@@ -118,12 +120,36 @@ impl LimitArguments {
         set(&mut motion.acceleration_mm_s2, self.acceleration);
         set(&mut motion.tolerance_mm, self.tolerance);
         set(&mut motion.travel_tolerance_mm, self.tolerance);
-        motion.jerk_window_ms = self.jerk_window.unwrap_or(motion.jerk_window_ms);
         motion.orientation = match self.orientation.as_deref() {
             Some("path") => Orientation::Path,
             Some(_) => Orientation::Constant,
             None => motion.orientation,
         };
+    }
+
+    /// Applies the moving average, after all other limits: they bound its length.
+    fn apply_jerk_window(&self, config: &mut Config) -> Result<(), ProgramError> {
+        let Some(asked_ms) = self.jerk_window else {
+            return Ok(());
+        };
+        config.motion.jerk_window_ms = asked_ms;
+        let longest_ms = effective_jerk_window_ms(&config.motion_settings());
+        if longest_ms == asked_ms {
+            return Ok(());
+        }
+        let MotionLimits {
+            tolerance_mm,
+            acceleration_mm_s2,
+            ..
+        } = config.motion;
+        Err(ProgramError::new(
+            code::USAGE,
+            format!(
+                "--jerk-window {asked_ms}: at {acceleration_mm_s2} mm/s2 an average over more than {longest_ms} ms takes \
+                 more than half of the tolerance of {tolerance_mm} mm; give a window of at most {longest_ms} ms, a larger \
+                 --tolerance or a lower --acceleration"
+            ),
+        ))
     }
 }
 
@@ -154,6 +180,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     }
     let mut config = arguments.config.load()?;
     arguments.limits.apply(&mut config);
+    arguments.limits.apply_jerk_window(&mut config)?;
     let (path, vertices_merged) = read_path(&arguments.file, &config, &arguments.source)?;
     let mut table = arguments
         .samples

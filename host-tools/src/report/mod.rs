@@ -26,7 +26,7 @@ use deviation::{Distances, Moment, deviation, ink_deviation, ink_missing};
 use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::messages::{Counters, Sample};
-use etherpen::motion::{Pen, Vertex};
+use etherpen::motion::{Pen, Vertex, effective_jerk_window_ms};
 use etherpen::robots::{AXES, JointAngles, Kinematics, Position};
 use platform::platform_limits;
 use serde::Serialize;
@@ -389,7 +389,7 @@ fn following_error(config: &Config, samples: &[Sample]) -> [f64; AXES] {
 
 fn limits(config: &Config, samples: &[Sample]) -> Vec<AxisLimits> {
     let motion = &config.motion;
-    let window_s = f64::from(motion.jerk_window_ms) / 1_000.0;
+    let window_s = f64::from(effective_jerk_window_ms(&config.motion_settings())) / 1_000.0;
     let axes = axes(config);
     let is_named = axes.iter().any(|axis| axis.motion == Motion::Linear);
     let of_axis = |axis: AxisView| {

@@ -12,7 +12,7 @@ use super::shortened;
 use crate::axes::{AxisView, Motion, Quantity, axes};
 use crate::link::text;
 use etherpen::config::{Config, ConfigError, IoError, IoRole, PenLiftKind};
-use etherpen::motion::WorkArea;
+use etherpen::motion::{WorkArea, effective_jerk_window_ms};
 use etherpen::robots::{GeometryError, Kinematics, MAIN_AXES, Position};
 use serde::Serialize;
 use std::f64::consts::{PI, TAU};
@@ -306,6 +306,7 @@ pub fn check(text: &str) -> Vec<Finding> {
             Ok(_) => checks.reach(&mut found),
         }
         checks.pen(&mut found);
+        checks.jerk_window(&mut found);
         checks.axes(&mut found);
         homing::check(&checks, &mut found);
     }
@@ -390,6 +391,24 @@ impl Checks<'_> {
                 text: "an output lowers the pen, and no output does: write an [[io]] with direction = \"out\" and \
                        role = \"pen\", or kind = \"axis\" in [pen]"
                     .into(),
+            });
+        }
+    }
+
+    /// Whether the planner uses the moving average as it is configured.
+    fn jerk_window(&self, found: &mut Vec<Finding>) {
+        let motion = &self.config.motion;
+        let longest_ms = effective_jerk_window_ms(&self.config.motion_settings());
+        if longest_ms < motion.jerk_window_ms {
+            found.push(Finding {
+                gravity: Gravity::Warning,
+                line: self.places.of("motion", &["jerk_window_ms"]),
+                text: format!(
+                    "the planner averages over {longest_ms} ms only: at {} mm/s2 a jerk window of {} ms takes more than \
+                     half of the tolerance of {} mm; write jerk_window_ms = {longest_ms}, a larger tolerance_mm or a \
+                     lower acceleration_mm_s2",
+                    motion.acceleration_mm_s2, motion.jerk_window_ms, motion.tolerance_mm
+                ),
             });
         }
     }

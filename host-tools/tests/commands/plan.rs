@@ -271,3 +271,52 @@ fn kinematics_of_another_geometry_and_of_none() {
     assert_eq!(status, Some(i32::from(code::INPUT)));
     assert!(stderr.contains("small.toml"), "{stderr}");
 }
+
+#[test]
+fn a_jerk_window_has_its_full_length_or_is_refused() {
+    let folder = Folder::new();
+    let plan = |options: &[&str]| {
+        run(etherpen(&folder)
+            .arg("plan")
+            .arg(sample("square.csv"))
+            .arg("--json")
+            .args(options))
+    };
+    let (status, stdout, stderr) = plan(&["--jerk-window", "32"]);
+    assert_eq!(status, Some(i32::from(code::USAGE)));
+    assert!(stdout.is_empty() && stderr.contains("at most 7 ms"), "{stderr}");
+    for options in [
+        ["--jerk-window", "7", "--tolerance", "0.05"],
+        ["--jerk-window", "32", "--tolerance", "1"],
+    ] {
+        let (status, stdout, stderr) = plan(&options);
+        assert_eq!(status, Some(0), "{stderr}");
+        let answer = json(&stdout);
+        assert_eq!(answer["limits"]["jerk_window_ms"].to_string(), options[1]);
+        assert_eq!(answer["violation_count"], 0, "{}", answer["violations"]);
+    }
+}
+
+#[test]
+fn dense_points_on_a_circle_take_the_time_of_the_circle() {
+    let folder = Folder::new();
+    let planned_s = |vertices: u32| {
+        let mut text = String::from("x_mm,y_mm,z_mm,pen\n");
+        for number in 0..=vertices {
+            let angle = std::f64::consts::TAU * f64::from(number) / f64::from(vertices);
+            text.push_str(&format!(
+                "{:.6},{:.6},-850,1\n",
+                31.83 * angle.cos(),
+                31.83 * angle.sin()
+            ));
+        }
+        let file = folder.file("circle.csv", &text);
+        let (status, stdout, stderr) = run(etherpen(&folder).arg("plan").arg(&file).args(["--json", "--certify"]));
+        assert_eq!(status, Some(0), "{stderr}");
+        let answer = json(&stdout);
+        assert_eq!(answer["violation_count"], 0, "{vertices}: {}", answer["violations"]);
+        answer["duration_s"].as_f64().expect("a duration")
+    };
+    let (few_s, dense_s) = (planned_s(200), planned_s(20_000));
+    assert!(dense_s < 1.1 * few_s, "{dense_s} s of {few_s} s");
+}

@@ -393,7 +393,7 @@ fn what_is_not_a_number_is_refused_and_a_full_queue_says_so() {
     assert!(matches!(refusal, Err(MotionRefusal::Target(_))));
     let mut pushed = 0;
     while trajectory
-        .push(vertex([0.01 * f64::from(pushed + 1), 0.0, -850.0], Pen::Down, 0))
+        .push(vertex([0.5 * f64::from(pushed + 1), 0.0, -850.0], Pen::Down, 0))
         .is_ok()
     {
         pushed += 1;

@@ -6,6 +6,7 @@
 mod bad_input;
 mod commands;
 mod executed;
+mod merging;
 mod noise;
 mod orientation;
 mod paths;
@@ -229,15 +230,30 @@ impl Run {
         worst
     }
 
+    /// For each setpoint the vertex reported two reports earlier, and that three reports later: a leg may replace those
+    /// between two reports.
+    fn reported(&self) -> Vec<[usize; 2]> {
+        let vertices = || self.setpoints.iter().map(|setpoint| setpoint.vertex as usize);
+        let mut reports: Vec<usize> = vertices().collect();
+        reports.sort_unstable();
+        reports.dedup();
+        let around = |vertex| {
+            let at = reports.partition_point(|report| *report < vertex);
+            let later = reports.get(at + 3).copied().unwrap_or(self.path.len());
+            [reports[at.saturating_sub(2)], later]
+        };
+        vertices().map(around).collect()
+    }
+
     /// Largest distance of the setpoints from the path, near the vertices that they report.
     fn deviation(&self) -> (f64, f64) {
         let kinematics = Kinematics::new(&self.settings.geometry).unwrap();
         let mut worst = (0.0_f64, 0.0_f64);
-        for setpoint in &self.setpoints {
+        for (setpoint, reported) in self.setpoints.iter().zip(self.reported()) {
             let at = Vector::from(kinematics.forward(&JointAngles(setpoint.position_rad)).unwrap());
             let near = setpoint.vertex as usize;
-            let from = near.saturating_sub(8);
-            let to = (near + 9).min(self.path.len());
+            let from = near.saturating_sub(8).min(reported[0]);
+            let to = (near + 9).max(reported[1] + 1).min(self.path.len());
             let distance = self.path[from..to]
                 .windows(2)
                 .map(|leg| distance(&at, &leg[0].position.into(), &leg[1].position.into()))

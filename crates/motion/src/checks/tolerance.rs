@@ -49,17 +49,22 @@ fn distances(run: &Run) -> (f64, f64) {
     let mut off_legs = 0.0_f64;
     let mut nearest = std::vec![f64::INFINITY; vertices.len()];
     let mut before: Option<[f64; 3]> = None;
+    let reported = run.reported();
     for (number, setpoint) in run.setpoints.iter().enumerate() {
         let at: [f64; 3] = kinematics.forward(&JointAngles(setpoint.position_rad)).unwrap().into();
         // A millisecond may pass many vertices, and an average lies between those of its neighbours.
         let executed = |number: usize| run.setpoints[number.min(run.setpoints.len() - 1)].vertex as usize;
         let (first, last) = (executed(number.saturating_sub(1)), executed(number + 1));
+        let [earlier, later] = reported[number];
         let (low, high) = (
             places[first.min(last)].saturating_sub(NEAR),
             places[first.max(last)] + NEAR,
         );
-        let from = places.partition_point(|place| *place < low);
-        let to = places.partition_point(|place| *place < high).min(vertices.len());
+        let from = places.partition_point(|place| *place < low).min(earlier);
+        let to = places
+            .partition_point(|place| *place < high)
+            .max(later + 1)
+            .min(vertices.len());
         let off = vertices[from..to]
             .windows(2)
             .map(|leg| apart(at, leg[0], leg[1]))

@@ -168,3 +168,14 @@ fn what_is_missing_is_told_without_a_line() {
     assert_eq!(names, ["[geometry]", "[work_area", "[paper] is", "[[axes]] i"]);
     assert!(check("[motion\n")[0].text.contains("line 1"));
 }
+
+#[test]
+fn a_jerk_window_that_the_planner_shortens_is_named_with_the_longest() {
+    let sample = include_str!("../../../../samples/etherpen.toml");
+    let (from, at) = ("jerk_window_ms = 4 ", "jerk_window_ms");
+    let found = finding(sample, from, "jerk_window_ms = 32 ", at);
+    assert_eq!(found.gravity, Gravity::Warning);
+    assert!(found.text.contains("jerk_window_ms = 7,"), "{found}");
+    let longest = sample.replacen(from, "jerk_window_ms = 7 ", 1);
+    assert_eq!(check(&longest), []);
+}
