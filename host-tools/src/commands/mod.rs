@@ -24,6 +24,7 @@ pub mod operate;
 mod operator;
 pub mod order;
 pub mod paper;
+mod pen_change;
 pub mod plan;
 pub mod ports;
 pub mod preview;
