@@ -111,7 +111,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     if arguments.json {
         eprintln!("{listens}");
     } else {
-        writeln!(io::stdout(), "{listens}").map_err(|cause| ProgramError::failed("stdout", cause))?;
+        writeln!(io::stdout(), "{listens}").or_else(ProgramError::of_stdout)?;
     }
     eprintln!(
         "{}; help lists the commands, Ctrl-C ends the segment.",
@@ -145,7 +145,7 @@ fn tell_other(socket: &Path, arguments: &Arguments) -> Result<(), ProgramError> 
     if arguments.json {
         return print_json(&answer);
     }
-    writeln!(io::stdout(), "{}", text(&answer)).map_err(|cause| ProgramError::failed("stdout", cause))
+    writeln!(io::stdout(), "{}", text(&answer)).or_else(ProgramError::of_stdout)
 }
 
 /// Prints the summary at the end.
