@@ -20,7 +20,7 @@ use heapless::Vec;
 use serde::{Deserialize, Serialize};
 
 /// Version of this protocol; both ends must agree.
-pub const PROTOCOL_VERSION: u16 = 14;
+pub const PROTOCOL_VERSION: u16 = 15;
 /// Slaves described in a status: all that the robot's bus can have.
 pub const SLAVES_REPORTED: usize = BUS_SLAVES_MAX;
 

@@ -26,6 +26,7 @@ mod outputs;
 mod outside;
 mod path_stop;
 mod pen_output;
+mod pen_servo;
 mod position;
 mod robot;
 mod stale;
