@@ -46,4 +46,15 @@ impl ProgramError {
     pub fn failed(what: impl std::fmt::Display, cause: impl std::fmt::Display) -> Self {
         Self::new(code::FAILED, format!("{what}: {cause}"))
     }
+
+    /// What a failed write to stdout means: a reader that has ended, as in `| head -1`, wants no more, and ends nothing.
+    ///
+    /// # Errors
+    /// stdout cannot be written for another reason: a full disk, say.
+    pub fn of_stdout(cause: std::io::Error) -> Result<(), Self> {
+        match cause.kind() {
+            std::io::ErrorKind::BrokenPipe => Ok(()),
+            _ => Err(Self::failed("stdout", cause)),
+        }
+    }
 }

@@ -8,8 +8,8 @@ use host_tools::commands::{
 };
 use host_tools::drawing::preparation::confined;
 use host_tools::eprintln;
-use host_tools::error::ProgramError;
-use host_tools::terminal::in_colour;
+use host_tools::error::{ProgramError, code};
+use host_tools::terminal::{in_colour, is_cut};
 use std::process::ExitCode;
 
 /// Shown under the help and in the manual page of every command.
@@ -142,6 +142,7 @@ fn main() -> ExitCode {
         Subcommand::Verify(arguments) => verify::run(&arguments),
     };
     match result {
+        Ok(()) if is_cut() => ExitCode::from(code::FAILED),
         Ok(()) => ExitCode::SUCCESS,
         Err(ProgramError { code, message }) => {
             eprintln!("{}: {message}", in_colour("etherpen", "1;31"));

@@ -1,6 +1,20 @@
-//! Text for a terminal: messages on stderr, colours, and numbers with nouns.
+//! Text for a terminal: data on stdout, messages on stderr, colours, and numbers with nouns.
 
-use std::io::{IsTerminal, Write};
+use std::io::{ErrorKind, IsTerminal, Write};
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Whether a line of stdout was lost although its reader wanted it.
+static IS_CUT: AtomicBool = AtomicBool::new(false);
+
+/// Prints a line on stdout, as the standard macro does, but never panics: a reader that has ended loses the line, and any
+/// other failure is counted ([`is_cut`]). Tests keep the standard macro, whose output they capture.
+#[cfg(not(test))]
+#[macro_export]
+macro_rules! println {
+    ($($words:tt)*) => {
+        $crate::terminal::say(format_args!($($words)*))
+    };
+}
 
 /// Prints a line on stderr, as the standard macro does. A stderr that is closed or full loses the message and ends nothing.
 #[macro_export]
@@ -25,6 +39,21 @@ macro_rules! eprint {
 pub fn tell(message: std::fmt::Arguments<'_>, end: &str) {
     // A message that nobody can read must not end the work.
     let _ = write!(std::io::stderr().lock(), "{message}{end}");
+}
+
+/// Writes a line to stdout.
+pub fn say(line: std::fmt::Arguments<'_>) {
+    if let Err(cause) = writeln!(std::io::stdout().lock(), "{line}")
+        && cause.kind() != ErrorKind::BrokenPipe
+        && !IS_CUT.swap(true, Ordering::Relaxed)
+    {
+        eprintln!("stdout: {cause}");
+    }
+}
+
+/// Whether stdout lacks a line although its reader has not ended: its disk is full, say.
+pub fn is_cut() -> bool {
+    IS_CUT.load(Ordering::Relaxed)
 }
 
 /// `text` in an ANSI colour when stderr is a terminal and `NO_COLOR` is not set.

@@ -134,8 +134,8 @@ pub enum IoRole {
     /// Input of a limit switch of the point's axis, closed (1) in operation. Outside homing, opening with power stops the
     /// drives: a fault that names the axis. One that is open when power comes is none, so that the axis can be jogged off it.
     Limit,
-    /// Output that lowers the pen: on from the start of lowering to the start of lifting, off at every stop. A terminal that
-    /// fails is a fault.
+    /// Output that lowers the pen: on from the start of lowering to the start of lifting, off at every stop; a word has the
+    /// positions of a servo instead. A terminal that fails is a fault.
     Pen,
 }
 
@@ -334,6 +334,11 @@ pub enum IoError {
     },
     /// An output is to lower the pen of a machine without an axis of the height.
     PenWithoutHeight,
+    /// The type of the pen's output is not that of what lowers the pen, or does not hold its two positions.
+    PenPositions {
+        /// The point.
+        io: u8,
+    },
     /// The role needs the other direction, or a bit.
     Role {
         /// The point.
@@ -402,7 +407,9 @@ impl IoPoint {
         }
         let serves = match self.role {
             IoRole::None => true,
-            IoRole::Lamp | IoRole::Pen => self.direction == IoDirection::Out && self.kind == IoType::Bool,
+            IoRole::Lamp => self.direction == IoDirection::Out && self.kind == IoType::Bool,
+            // Its type follows from what lowers the pen.
+            IoRole::Pen => self.direction == IoDirection::Out,
             _ => self.direction == IoDirection::In && self.kind == IoType::Bool,
         };
         match serves {

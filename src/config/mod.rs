@@ -157,8 +157,12 @@ impl Config {
             }
         }
         self.check_searches()?;
-        if self.pen.kind == PenLiftKind::Output && !self.geometry.kind().has_height_axis() {
+        if self.pen.kind.is_output() && !self.geometry.kind().has_height_axis() {
             return Err(IoError::PenWithoutHeight);
+        }
+        let mut pens = (0..).zip(&self.io).filter(|(_, point)| point.role == IoRole::Pen);
+        if let Some((io, _)) = pens.find(|(_, point)| self.pen.words(point.kind).is_none()) {
+            return Err(IoError::PenPositions { io });
         }
         terminal::check(self)
     }
@@ -167,7 +171,7 @@ impl Config {
     pub fn pen_heights_mm(&self) -> Option<[f64; 2]> {
         let has_height_axis = usize::from(self.bus.drives) >= MAIN_AXES;
         let (down_mm, lift_mm) = (self.paper.pen_down_z_mm, self.paper.pen_lift_mm);
-        (self.pen.kind == PenLiftKind::Output && !has_height_axis).then_some([down_mm, down_mm + lift_mm])
+        (self.pen.kind.is_output() && !has_height_axis).then_some([down_mm, down_mm + lift_mm])
     }
 
     /// Checks that each switch tells the place of one axis, which can be led to it by itself.
@@ -317,8 +321,10 @@ mod tests {
         config.geometry = Kind::CoreXy.geometry();
         assert_eq!(config.check_io(), Err(IoError::CoupledAxis { axis: 0 }));
         config.axes.iter_mut().for_each(|axis| axis.home.io = None);
-        config.pen.kind = PenLiftKind::Output;
-        assert_eq!(config.check_io(), Ok(()));
+        for kind in [PenLiftKind::Output, PenLiftKind::Servo] {
+            config.pen.kind = kind;
+            assert_eq!(config.check_io(), Ok(()));
+        }
         for kind in [Kind::Delta, Kind::LinearDelta] {
             config.geometry = kind.geometry();
             assert_eq!(config.check_io(), Err(IoError::PenWithoutHeight));

@@ -1,6 +1,6 @@
 //! How the machine lowers and lifts its pen.
 
-use super::MotionLimits;
+use super::{IoType, MotionLimits};
 use etherpen_motion::settings::{Bound, Paper, bound};
 use serde::{Deserialize, Serialize};
 
@@ -13,8 +13,17 @@ pub enum PenLiftKind {
     Axis,
     /// The output with the role `pen`: a solenoid or a valve.
     Output,
+    /// The output with the role `pen`, a word: the position of a servo.
+    Servo,
     /// Nothing: the tool always touches.
     None,
+}
+
+impl PenLiftKind {
+    /// Whether a terminal's output lowers the pen.
+    pub const fn is_output(self) -> bool {
+        matches!(self, Self::Output | Self::Servo)
+    }
 }
 
 /// How the machine lowers and lifts its pen.
@@ -30,6 +39,10 @@ pub struct PenLift {
     pub down_ms: u16,
     /// Time from the output's change until the pen has left the paper, ms; used with an output.
     pub up_ms: u16,
+    /// Value of the output with the pen down, in the terminal's units; used with a servo.
+    pub down: i32,
+    /// Value of the output with the pen up, in the terminal's units; used with a servo. The output also has it at every stop.
+    pub up: i32,
 }
 
 impl Default for PenLift {
@@ -38,6 +51,8 @@ impl Default for PenLift {
             kind: PenLiftKind::Axis,
             down_ms: 60,
             up_ms: 40,
+            down: 0,
+            up: 0,
         }
     }
 }
@@ -70,11 +85,22 @@ impl PenLift {
         (paper.pen_lift_mm - motion.travel_tolerance_mm).max(0.1 * paper.pen_lift_mm)
     }
 
+    /// Bits of the pen's output with the pen up and down, at a point of this type; `None` if the type does not hold them, or
+    /// if they are equal.
+    pub(crate) fn words(&self, kind: IoType) -> Option<[u32; 2]> {
+        let raw = |value: i32| kind.raw(value.into());
+        let [up, down] = match self.kind {
+            PenLiftKind::Servo => [raw(self.up)?, raw(self.down)?],
+            _ => [0, 1],
+        };
+        (up != down && (kind == IoType::Bool) != (self.kind == PenLiftKind::Servo)).then_some([up, down])
+    }
+
     /// The limits of motion with the vertical speed at which lowering and lifting take as long as the pen does. The corner
     /// between lift and travel may be rounded by the travel tolerance, which is not counted as lift.
     pub(super) fn within(&self, motion: &MotionLimits, paper: &Paper) -> MotionLimits {
         let slowest_ms = self.down_ms.max(self.up_ms);
-        if self.kind != PenLiftKind::Output || slowest_ms == 0 {
+        if !self.kind.is_output() || slowest_ms == 0 {
             return *motion;
         }
         let speed_mm_s = self.lift_mm(motion, paper) * 1_000.0 / f64::from(slowest_ms);
@@ -116,5 +142,28 @@ mod tests {
             ..lift
         };
         assert_eq!(none.within(&motion, &paper), motion);
+    }
+
+    #[test]
+    fn a_servo_has_two_positions_that_its_word_holds_and_takes_its_time_as_a_solenoid() {
+        let servo = PenLift {
+            kind: PenLiftKind::Servo,
+            down: 2_000,
+            up: -1_000,
+            ..PenLift::default()
+        };
+        assert_eq!(servo.words(IoType::I16), Some([0xFC18, 2_000]));
+        let unusable = [IoType::Bool, IoType::U16, IoType::I8];
+        assert!(unusable.iter().all(|kind| servo.words(*kind).is_none()));
+        let still = PenLift { up: 2_000, ..servo };
+        assert_eq!(still.words(IoType::I16), None);
+        let solenoid = PenLift {
+            kind: PenLiftKind::Output,
+            ..servo
+        };
+        assert_eq!(solenoid.words(IoType::Bool), Some([0, 1]));
+        assert_eq!(solenoid.words(IoType::U16), None);
+        let (motion, paper) = (MotionLimits::default(), Paper::default());
+        assert_eq!(servo.within(&motion, &paper), solenoid.within(&motion, &paper));
     }
 }

@@ -118,6 +118,8 @@ pub struct Io {
     /// Inputs that were open since they arrive, one bit each.
     was_open: u16,
     word_next: u8,
+    /// Value of the pen's output with the pen up and down.
+    pen_words: [u32; 2],
     report: IoReport,
 }
 
@@ -140,6 +142,7 @@ impl Io {
             missing_ms: [u16::MAX; IO_MAX],
             was_open: 0,
             word_next: 0,
+            pen_words: [0; 2],
             report: IoReport {
                 set: 0,
                 valid: 0,
@@ -151,11 +154,12 @@ impl Io {
         }
     }
 
-    /// Replaces the points; all outputs become 0, and no input has arrived.
+    /// Replaces the points; all outputs become 0, and no input has arrived. `pen_words` is the value of the pen's output with
+    /// the pen up and down.
     #[cold]
-    pub fn configure(&mut self, points: IoPlaces) {
+    pub fn configure(&mut self, points: IoPlaces, pen_words: [u32; 2]) {
         *self = Self::new();
-        self.points = points;
+        (self.points, self.pen_words) = (points, pen_words);
     }
 
     /// Requests the value of an output for the following milliseconds.
@@ -315,8 +319,8 @@ impl Io {
         }
     }
 
-    /// Writes the outputs; with `has_fault`, those that do not keep their values become 0. `pen` is the value of the pen's
-    /// output.
+    /// Writes the outputs; with `has_fault`, those that do not keep their values become 0, and the pen is up. `pen` is whether
+    /// the pen is lowered.
     #[inline]
     pub fn write(&mut self, group: &mut impl IoGroup, has_fault: bool, pen: bool) {
         if !self.points.is_empty() {
@@ -326,13 +330,15 @@ impl Io {
 
     #[inline(never)]
     fn write_points(&mut self, group: &mut impl IoGroup, has_fault: bool, pen: bool) {
+        let [up, down] = self.pen_words;
+        let pen = if pen && !has_fault { down } else { up };
         let points = self.points.iter().zip(&self.places).zip(&mut self.values);
         for (io, ((point, place), value)) in (0_u8..).zip(points) {
             if point.direction == IoDirection::In {
                 continue;
             }
             if point.role == IoRole::Pen {
-                *value = u32::from(pen && !has_fault);
+                *value = pen;
             } else if has_fault && !point.is_kept {
                 *value = 0;
             }

@@ -5,7 +5,7 @@
 //! time of the pen; above it the tool may still be beside its line. Where no setpoint is followed, and in a stop, the output is
 //! off; a tool that stands low then keeps its pen up until the path goes down again.
 
-use crate::config::{Config, PenLiftKind};
+use crate::config::{Config, IoRole};
 use crate::motion::{Pen, Setpoint};
 use crate::robots::LINEAR_MM_PER_RAD;
 
@@ -25,6 +25,8 @@ pub struct PenSwitch {
     half_rad: f64,
     /// Whether an output lowers the pen.
     has_output: bool,
+    /// Value of the output with the pen up and down.
+    pub(super) words: [u32; 2],
     /// Whether the output is on.
     is_on: bool,
 }
@@ -34,11 +36,15 @@ impl PenSwitch {
     pub fn new(config: &Config) -> Self {
         let paper = &config.paper;
         let joint = |z_mm: f64| z_mm / LINEAR_MM_PER_RAD;
+        let mut points = config.io.iter().filter(|point| point.role == IoRole::Pen);
         Self {
             up_rad: joint(paper.pen_down_z_mm + paper.pen_lift_mm),
             lowers_rad: joint(paper.pen_down_z_mm + config.pen.lift_mm(&config.motion, paper)),
             half_rad: joint(paper.pen_down_z_mm + 0.5 * paper.pen_lift_mm),
-            has_output: config.pen.kind == PenLiftKind::Output,
+            has_output: config.pen.kind.is_output(),
+            words: points
+                .find_map(|point| config.pen.words(point.kind))
+                .unwrap_or_default(),
             is_on: false,
         }
     }
@@ -61,7 +67,7 @@ impl PenSwitch {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::config::PenLift;
+    use crate::config::{PenLift, PenLiftKind};
 
     #[test]
     fn the_output_is_on_from_the_start_of_lowering_to_the_start_of_lifting_and_never_above() {

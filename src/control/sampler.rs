@@ -410,7 +410,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
                 }
                 SamplerCommand::ConfigureIo(points, pen) => {
                     self.pen = pen;
-                    self.io.configure(points);
+                    self.io.configure(points, pen.words);
                     self.spares_terminals = self.io.spares_terminals();
                 }
                 SamplerCommand::SwitchOutputsOff => self.io.switch_off(),

@@ -28,6 +28,7 @@ mod outside;
 mod path_stop;
 mod path_stop_left;
 mod pen_output;
+mod pen_servo;
 mod position;
 mod robot;
 mod stale;

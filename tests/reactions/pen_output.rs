@@ -12,17 +12,17 @@ use host_tools::cell::{CellOptions, Fault as CellFault};
 use host_tools::settings::machines::MACHINES;
 
 /// The terminal with the pen's output, from 1.
-const TERMINAL: usize = 3;
+pub(super) const TERMINAL: usize = 3;
 /// Longest time from a stop to an output that is off at the terminal, ms: the supervision's own millisecond and the
 /// exchange's.
 const OFF_MAX_MS: u32 = 4;
 
-fn corexy() -> Config {
+pub(super) fn corexy() -> Config {
     MACHINES[2].load().unwrap()
 }
 
 /// Two strokes of 60 mm zigzags around the middle of the bed.
-fn path() -> Vec<PathVertex> {
+pub(super) fn path() -> Vec<PathVertex> {
     let mut path = Vec::new();
     for stroke in 0..2_u32 {
         let y_um = 30_000 * stroke as i32;

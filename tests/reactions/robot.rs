@@ -348,12 +348,14 @@ impl Robot {
 
     /// The outputs of a terminal, from 1, as they act outside.
     pub(crate) fn outputs(&self, slave: usize) -> u8 {
-        self.cell
-            .lock()
-            .unwrap()
-            .outputs(slave)
-            .and_then(|outputs| outputs.first().copied())
-            .unwrap_or(0)
+        self.output_word(slave).to_le_bytes()[0]
+    }
+
+    /// First 16 bits of a terminal's outputs.
+    pub(crate) fn output_word(&self, slave: usize) -> u16 {
+        let outputs = self.cell.lock().unwrap().outputs(slave).unwrap_or_default();
+        let byte = |at: usize| outputs.get(at).copied().unwrap_or(0);
+        u16::from_le_bytes([byte(0), byte(1)])
     }
 
     /// Largest parts of their limits that the comparisons of the feedback have used since the last call.

@@ -6,6 +6,8 @@ import { $, duration, element, keyed, number, set, text, toast } from "./dom.js"
 // Pause in typing before a file is planned, ms.
 const TYPING_MS = 400;
 
+// A layer that waits for its pen.
+export const layerText = ({ layer, number, layers }) => `layer ${layer || "without a name"} (${number} of ${layers})`;
 const strokes = (count) => `${count} stroke${count === 1 ? "" : "s"}`;
 
 export function jobs(link) {
@@ -141,8 +143,11 @@ function studio(link) {
   const name = element("b");
   const facts = element("span");
   const ready = element("p", {}, name, element("br"), facts);
-  const draw = element("button", { type: "button", className: "primary", id: "enqueue", on: { click: () => link.send({ type: "enqueue", preparation: link.state.studio.number }) } }, "Add to queue");
-  $("studio").append(busy, wrong, ready, draw);
+  const pauses = element("input", { type: "checkbox", id: "pauses", checked: true });
+  const layers = element("span");
+  const pause = element("label", {}, pauses, layers);
+  const draw = element("button", { type: "button", className: "primary", id: "enqueue", on: { click: () => link.send({ type: "enqueue", preparation: link.state.studio.number, pauses: pauses.checked && !pause.hidden }) } }, "Add to queue");
+  $("studio").append(busy, wrong, ready, pause, draw);
   const show = () => {
     const { studio: made } = link.state;
     const state = made?.state ?? "idle";
@@ -152,11 +157,13 @@ function studio(link) {
     busy.hidden = state !== "working";
     wrong.hidden = state !== "failed";
     ready.hidden = draw.hidden = state !== "ready";
+    pause.hidden = state !== "ready" || made.layers.length < 2;
     set(draw, { disabled: !link.controls });
     if (state === "working") text(busy, `${made.name}: tracing and planning`);
     if (state === "failed") text(wrong, `${made.name}: ${made.error}`);
     if (state !== "ready") return;
     text(name, made.name);
+    text(layers, ` change the pen between ${made.layers.length} layers`);
     text(facts, `${strokes(made.strokes)}, ${number(made.pen_down_mm / 1000, 2)} m of line, about ${duration(made.planned_s)}`);
   };
   for (const event of ["studio", "control", "you", "closed"]) link.on(event, show);
@@ -206,11 +213,14 @@ function lists(link) {
   };
   const active = () => {
     const [name, phase] = [element("b"), element("span")];
+    const go = element("button", { type: "button", className: "primary", id: "pen-is-in", on: { click: () => link.send({ type: "pen_is_in", job: link.state.jobs.pause?.job }) } }, "The pen is in");
     const show = (job) => {
+      const { jobs: all, status } = link.state;
       text(name, job.name);
-      text(phase, ` ${link.state.jobs.phase}`);
+      text(phase, all.pause ? ` change the pen for ${layerText(all.pause)}` : ` ${all.phase}`);
+      set(go, { hidden: !all.pause, disabled: !(link.controls && status?.referenced && ["DrivesOff", "Idle"].includes(status.mode)), title: `Draws ${all.pause ? layerText(all.pause) : ""}` });
     };
-    return [element("li", { className: "active" }, element("span", {}, name, phase)), show];
+    return [element("li", { className: "active" }, element("span", {}, name, phase), go), show];
   };
   const ended = (job) => {
     const [how, why] = [element("span"), element("small")];

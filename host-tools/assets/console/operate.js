@@ -3,6 +3,7 @@
 // The firmware's mode determines what may be pressed; its state shows what happened.
 
 import { $, duration, element, number, text } from "./dom.js";
+import { layerText } from "./jobs.js";
 
 const JOG_MS = 40;
 const TONES = { Idle: "good", Drawing: "good", Homing: "good", Moving: "good", Holding: "warn", Unreferenced: "warn", DrivesOff: "plain", Stopping: "warn", Fault: "bad", Startup: "wait", BusConfiguring: "wait" };
@@ -44,9 +45,10 @@ function banner(link) {
   show();
 }
 
-// The mode in words; for a drawing, its name and remaining time.
+// The mode in words; for a drawing, its name and remaining time, or the layer that waits for its pen.
 function about(link, status) {
   const { jobs, progress } = link.state;
+  if (jobs?.pause && ["DrivesOff", "Idle"].includes(status.mode)) return `${status.text}; change the pen for ${layerText(jobs.pause)}`;
   if (!["Drawing", "Holding"].includes(status.mode) || !jobs?.active) return status.text;
   const left = progress?.job === jobs.active.number ? `, ${duration(progress.left_s)} left` : "";
   return `${jobs.active.name}${left}`;
@@ -103,7 +105,8 @@ function buttons(link) {
   press("acknowledge", { do: "acknowledge" });
   const show = () => {
     const may = (name) => link.controls && link.allows(name);
-    const active = Boolean(link.state.jobs?.active);
+    const drawing = Boolean(link.state.jobs?.active);
+    const active = drawing && !link.state.jobs.pause;
     $("enable").disabled = !may("enable") && !may("disable");
     text($("enable"), link.allows("disable") ? "Disable" : "Enable");
     $("enable").classList.toggle("primary", !link.allows("disable"));
@@ -111,7 +114,7 @@ function buttons(link) {
     $("reference").classList.toggle("primary", link.state.status?.referenced === false);
     $("hold").disabled = !may("hold");
     $("resume").disabled = !may("resume");
-    $("cancel").disabled = !(link.controls && (link.allows("cancel") || active));
+    $("cancel").disabled = !(link.controls && (link.allows("cancel") || drawing));
     $("pen-up").disabled = $("pen-down").disabled = !may("pen") || active;
     $("acknowledge").disabled = !may("acknowledge");
     $("override").disabled = !may("override");

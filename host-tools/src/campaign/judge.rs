@@ -546,7 +546,7 @@ pub(super) fn ink_limit_mm(config: &Config) -> f64 {
 fn pen_speed_mm_s(config: &Config) -> f64 {
     let (motion, paper, pen) = (&config.motion, &config.paper, &config.pen);
     let slowest_ms = f64::from(pen.down_ms.max(pen.up_ms));
-    if pen.kind != PenLiftKind::Output || slowest_ms == 0.0 {
+    if !pen.kind.is_output() || slowest_ms == 0.0 {
         return motion.pen_speed_mm_s;
     }
     let lift_mm = (paper.pen_lift_mm - motion.travel_tolerance_mm).max(0.1 * paper.pen_lift_mm);

@@ -104,10 +104,10 @@ impl Machine {
         self.resting
     }
 
-    /// Switches the pen's output.
-    pub(super) fn lower_pen(&mut self, on: bool) {
+    /// Takes what the pen's output asks for: 0 down, 1 up.
+    pub(super) fn move_pen(&mut self, height: f64) {
         if let Some(lift) = &mut self.pen_lift {
-            lift.switch(on);
+            lift.aim(height);
         }
     }
 

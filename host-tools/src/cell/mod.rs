@@ -211,11 +211,11 @@ impl Cell {
     /// Lowers or lifts the pen as its output says, and moves the contacts of the switches with the joints.
     fn follow_machine(&mut self) {
         if let Some(pen) = self.pen {
-            let is_on = self
+            let height = self
                 .segment
                 .outputs(pen.slave)
-                .is_some_and(|outputs| pen.is_on(&outputs));
-            self.segment.load_mut().lower_pen(is_on);
+                .map_or(1.0, |outputs| pen.height(&outputs));
+            self.segment.load_mut().move_pen(height);
         }
         if !self.switches.is_empty() {
             let angles_rad = self.truth().angles_rad;

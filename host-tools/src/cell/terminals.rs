@@ -1,10 +1,11 @@
 //! The chain of a cell whose options name no slaves: the configured drives, and the terminals that `[[io]]` names.
 //!
-//! Each named place gets a digital terminal of eight channels, inputs or outputs; the place before terminals gets a coupler, and
+//! Each named place gets a digital terminal of eight channels, inputs or outputs, or one with two words if an output there is no
+//! bit; the place before terminals gets a coupler, and
 //! so do the places that no drive is left for.
 //! The contacts of roles that are closed in operation are closed at the start.
 
-use etherpen::config::{AxisMode, Config, IoDirection, IoRole};
+use etherpen::config::{AxisMode, Config, IoDirection, IoRole, IoType};
 use etherpen_segment::SlaveKind;
 
 /// The slaves of a configuration in the order of the chain. Each drive is of the type that has the axis's mode: an AX2000, or
@@ -26,12 +27,17 @@ pub fn usual_slaves(config: &Config) -> Vec<SlaveKind> {
         .map(|point| usize::from(point.slave) + 1)
         .max()
         .unwrap_or(0);
+    let has_words = |place: usize| {
+        let mut points = config.io.iter().filter(|point| usize::from(point.slave) == place);
+        points.any(|point| point.direction == IoDirection::Out && point.kind != IoType::Bool)
+    };
     let mut chain = Vec::new();
     while chain.len() < places || drive.is_some() {
         let at = |place: usize| config.io.iter().find(|point| usize::from(point.slave) == place);
         let place = chain.len();
         chain.push(match at(place).map(|point| point.direction) {
             Some(IoDirection::In) => SlaveKind::El1008,
+            Some(IoDirection::Out) if has_words(place) => SlaveKind::Ao2,
             Some(IoDirection::Out) => SlaveKind::El2008,
             None if at(place + 1).is_some() => SlaveKind::Ek1100,
             None => std::mem::replace(&mut drive, drives.next()).unwrap_or(SlaveKind::Ek1100),

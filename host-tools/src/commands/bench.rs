@@ -123,5 +123,5 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     }
     std::io::stdout()
         .write_all(table(&report).as_bytes())
-        .map_err(|cause| ProgramError::failed("stdout", cause))
+        .or_else(ProgramError::of_stdout)
 }

@@ -171,7 +171,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     } else {
         let shown = overview(&contents) + &replayed.as_ref().map(replay_text).unwrap_or_default();
         let printed = io::stdout().write_all(shown.as_bytes());
-        printed.map_err(|cause| ProgramError::failed("stdout", cause))?;
+        printed.or_else(ProgramError::of_stdout)?;
     }
     match &mut controller {
         Some(controller) if arguments.discard => controller.discard()?,

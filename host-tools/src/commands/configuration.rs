@@ -158,7 +158,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
             true => format!("{key} = {}  # {}", entry.value, entry.origin),
             false => format!("{key} = {}", entry.value),
         };
-        writeln!(out, "{line}").map_err(|cause| ProgramError::failed("stdout", cause))?;
+        writeln!(out, "{line}").or_else(ProgramError::of_stdout)?;
     }
     Ok(())
 }
@@ -194,7 +194,7 @@ fn check_file(arguments: &Check) -> Result<(), ProgramError> {
             } else {
                 "warning"
             };
-            writeln!(out, "{gravity}: {shown}: {finding}").map_err(|cause| ProgramError::failed("stdout", cause))?;
+            writeln!(out, "{gravity}: {shown}: {finding}").or_else(ProgramError::of_stdout)?;
         }
     }
     if errors > 0 {

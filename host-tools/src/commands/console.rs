@@ -1,5 +1,6 @@
 //! `etherpen console`: the operator's page, for a real machine, the emulator or a simulation in virtual time.
 
+use super::pen_change::PenChangeArguments;
 use super::ports::OptionalPort;
 use super::{CellArguments, ConfigArguments, ended_by_a_signal};
 use crate::cell::{CellOptions, read_faults};
@@ -42,6 +43,8 @@ pub struct Arguments {
     #[arg(long, value_name = "FILE")]
     faults: Option<PathBuf>,
     #[command(flatten)]
+    pen_change: PenChangeArguments,
+    #[command(flatten)]
     cell: CellArguments,
     #[command(flatten)]
     config: ConfigArguments,
@@ -53,6 +56,7 @@ pub struct Arguments {
 /// The configuration cannot be used, a tool is missing, or the address is taken.
 pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let config = arguments.config.load()?;
+    let pen_change = arguments.pen_change.place(&config)?;
     let ended = ended_by_a_signal()?;
     let (port, cell) = match arguments.port.unless(arguments.without_port())? {
         Some(port) => (port, None),
@@ -63,7 +67,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     };
     let file = arguments.config.file_to_store(&config).map_err(|error| error.message);
     let token = token()?;
-    let console = Console::start(config, token.clone(), port, cell)
+    let console = Console::start(config, token.clone(), port, cell, pen_change)
         .map_err(|cause| ProgramError::new(code::CONNECTION, cause))?;
     console.store_sheet_in(file);
     let server = Server::start(console.clone(), arguments.listen).map_err(|cause| {

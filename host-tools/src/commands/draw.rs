@@ -3,21 +3,23 @@
 //! The machine is shared during the drawing, so that other terminals can hold, resume, cancel and stop it. Every
 //! drawing is recorded in the job log, from which an interrupted one can be resumed.
 
+mod layers;
 mod session;
 
 use super::display::Display;
 use super::operator::{Key, Operator};
+use super::pen_change::PenChangeArguments;
 use super::ports::PortArguments;
 use super::{DrawingArguments, print_json};
 use crate::drawing::preparation::outline::around;
-use crate::drawing::preparation::prepare::{Prepared, compose, prepare_with};
+use crate::drawing::preparation::prepare::{Prepared, prepare_with};
 use crate::drawing::preparation::source::SourceArguments;
 use crate::drawing::preparation::wire::to_wire;
 use crate::drawing::take_photograph;
 use crate::error::{ProgramError, code};
 use crate::job::history::{self, Record, hash_text};
-use crate::job::resume::{self, ResumePlan, Resumption};
-use crate::job::{JobReport, path_hash};
+use crate::job::resume::{self, MachineState, ResumePlan, Resumption};
+use crate::job::{JobReport, Motion, path_hash};
 use crate::machine::drawing::DrawingRun;
 use crate::machine::{Machine, MachineOptions, Order};
 use crate::output_file::make_folder;
@@ -25,8 +27,11 @@ use crate::report::output::{Outcome, refuse_inputs_in};
 use crate::report::summary::summarise;
 use etherpen::config::Config;
 use etherpen::messages::PathVertex;
-use session::attend;
+use etherpen::robots::Position;
+use layers::draw_layers;
+use session::{LOOK, attend};
 use std::path::{Path, PathBuf};
+use std::sync::mpsc::RecvTimeoutError;
 use std::time::Duration;
 
 /// Path speed while the pen goes around a drawing's border, percent, slow enough to watch, and the default speed.
@@ -56,10 +61,13 @@ pub struct Arguments {
     /// changed, but not the paper or the limits of motion.
     #[arg(long, value_name = "JOB", num_args = 0..=1, default_missing_value = "", conflicts_with = "acknowledge")]
     resume: Option<String>,
-    /// Draw layer by layer. The drives have no power between two layers, so that you can change the pen. Results go to
-    /// DIR/layer-N.
-    #[arg(long, conflicts_with_all = ["camera", "resume"])]
+    /// Draw layer by layer. The drives have no power between two layers, so that you can change the pen, and Enter draws
+    /// the next one. Results go to DIR/layer-N. With --resume, FILE and the same options: go on with the first layer
+    /// that the job log does not know as drawn.
+    #[arg(long, conflicts_with = "camera")]
     pause: bool,
+    #[command(flatten)]
+    pen_change: PenChangeArguments,
     /// First trace the drawing's border slowly with the pen up, to show where it lies on the paper; then wait, without
     /// power, for Enter. Without a terminal, a line on standard input counts as Enter; if standard input ends first,
     /// nothing is drawn.
@@ -79,32 +87,20 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let file = file(arguments, resumption.as_ref())?;
     let source = &source(arguments, resumption.as_ref())?;
     let mut operator = Operator::start();
-    let out = &arguments.drawing.out;
     if arguments.outline {
         outline(arguments, &config, &file, &mut operator)?;
     }
-    if !arguments.pause {
-        let part = Part::new(&file, source.clone(), out.clone(), file.display().to_string());
-        return draw(arguments, &config, &part, resumption.as_ref(), &mut operator);
+    if arguments.pause {
+        return draw_layers(arguments, &config, &file, source, &mut operator);
     }
-    let layers = layers(&file, &config, source)?;
-    for (number, layer) in layers.iter().enumerate() {
-        let shown = if layer.is_empty() { "without a name" } else { layer };
-        let folder = out.as_ref().map(|dir| dir.join(format!("layer-{}", number + 1)));
-        let name = format!("{}, layer {shown} ({} of {})", file.display(), number + 1, layers.len());
-        eprintln!("etherpen: {name}");
-        if number > 0 {
-            wait_for_pen(&mut operator, shown)?;
-        }
-        draw(
-            arguments,
-            &config,
-            &Part::new(&file, source.only(layer), folder, name),
-            None,
-            &mut operator,
-        )?;
-    }
-    Ok(())
+    let part = Part {
+        file: &file,
+        source: source.clone(),
+        out: arguments.drawing.out.clone(),
+        then_to: None,
+        name: file.display().to_string(),
+    };
+    draw(arguments, &config, &part, resumption.as_ref(), &mut operator).map_err(|end| end.error)
 }
 
 /// Traces the drawing's border with the pen up, and waits until the operator starts the drawing.
@@ -160,44 +156,26 @@ fn start(arguments: &Arguments, config: &Config) -> Result<Machine, ProgramError
         .map_err(|cause| ProgramError::new(code::CONNECTION, cause))
 }
 
-/// Names of a file's layers, in the order of drawing.
-fn layers(file: &Path, config: &Config, source: &SourceArguments) -> Result<Vec<String>, ProgramError> {
-    if file.as_os_str() == "-" {
-        let text = "--pause reads the file once for each layer: standard input cannot be read again";
-        return Err(ProgramError::new(code::USAGE, text));
-    }
-    let composed = compose(file, config, source)?;
-    Ok(composed.parts.into_iter().map(|(layer, _)| layer.name).collect())
-}
-
-/// Waits, with the machine at rest and without power, until the pen is changed.
-fn wait_for_pen(operator: &mut Operator, layer: &str) -> Result<(), ProgramError> {
-    eprintln!("etherpen: change the pen for layer {layer}; Enter draws it, Ctrl-C ends");
-    match operator.wait() {
-        Some(Key::Enter) => Ok(()),
-        Some(Key::Interrupt | Key::Terminate) | None => Err(ProgramError::new(
-            code::INTERRUPTED,
-            format!("ended before layer {layer}; --layer draws it alone, in its place"),
-        )),
-    }
-}
-
 /// The part of a drawing between two pauses.
 struct Part<'a> {
     file: &'a Path,
     source: SourceArguments,
     out: Option<PathBuf>,
+    /// Where the robot goes when the part is drawn, pen up.
+    then_to: Option<Position>,
     name: String,
 }
 
-impl<'a> Part<'a> {
-    fn new(file: &'a Path, source: SourceArguments, out: Option<PathBuf>, name: String) -> Self {
-        Self {
-            file,
-            source,
-            out,
-            name,
-        }
+/// Why a part was not drawn to its end.
+struct EarlyEnd {
+    error: ProgramError,
+    /// Whether the robot had begun to draw it.
+    begun: bool,
+}
+
+impl From<ProgramError> for EarlyEnd {
+    fn from(error: ProgramError) -> Self {
+        Self { error, begun: false }
     }
 }
 
@@ -208,7 +186,7 @@ fn draw(
     part: &Part,
     resumption: Option<&Resumption>,
     operator: &mut Operator,
-) -> Result<(), ProgramError> {
+) -> Result<(), EarlyEnd> {
     if let Some(dir) = &part.out {
         refuse_inputs_in(dir, &part.source.inputs(part.file, arguments.drawing.config.path()))?;
     }
@@ -224,15 +202,43 @@ fn draw(
     };
     let machine = start(arguments, config)?;
     let plan = match before.is_empty() {
-        false => resume::plan(before, &machine.known_state()?.into(), config, &path)?,
+        false => resume::plan(before, &known(&machine)?, config, &path)?,
         true => ResumePlan::whole(&path, begin_log(arguments, part, config, &path)),
     };
     let drawing = DrawingRun::begin(&machine, config, &path, plan, &part.name);
     let ended = attend(drawing, operator, display(arguments))?;
     let (result, job) = (ended.result, ended.report);
     let finished = finish(arguments, config, part, &prepared, &job, result.is_ok());
-    result?;
-    finished
+    result.map_err(|failure| EarlyEnd {
+        error: failure.into(),
+        begun: !job.samples.is_empty(),
+    })?;
+    if let Some(position) = part.then_to {
+        go_to(&machine, position, operator);
+    }
+    Ok(finished?)
+}
+
+fn known(machine: &Machine) -> Result<MachineState, ProgramError> {
+    Ok(machine.known_state()?.into())
+}
+
+/// Moves to a place with the pen up; a key ends the motion. A robot that does not get there stays where it is.
+fn go_to(machine: &Machine, position: Position, operator: &mut Operator) {
+    let answer = machine.order(Order::Motion(Motion::Move(position)));
+    loop {
+        match answer.recv_timeout(LOOK) {
+            Err(RecvTimeoutError::Timeout) => {}
+            Ok(Ok(_)) | Err(RecvTimeoutError::Disconnected) => return,
+            Ok(Err(failure)) => {
+                eprintln!("etherpen: the robot is not at the place for changing the pen: {failure}");
+                return;
+            }
+        }
+        if operator.next_key().is_some_and(|key| key != Key::Enter) {
+            drop(machine.order(Order::Cancel));
+        }
+    }
 }
 
 /// The target of `--resume`. Without a file argument, a value that is not a job in the log but a file selects that
@@ -242,12 +248,20 @@ fn resumption(arguments: &Arguments) -> Result<Option<Resumption>, ProgramError>
         return Ok(None);
     };
     match (name.as_str(), &arguments.file) {
+        (name, Some(_)) if arguments.pause && !name.is_empty() => {
+            let text = "--pause --resume goes on with the layers of FILE: leave the name of the job out";
+            Err(ProgramError::new(code::USAGE, text))
+        }
         ("", Some(file)) => Ok(Some(Resumption::Last(file.clone()))),
         ("", None) => {
             let text = "--resume needs a file, or the name of a job: etherpen jobs lists them";
             Err(ProgramError::new(code::USAGE, text))
         }
         (name, None) if Path::new(name).is_file() => Ok(Some(Resumption::Last(name.into()))),
+        (_, None) if arguments.pause => {
+            let text = "--pause --resume needs the file and the options with which it was drawn";
+            Err(ProgramError::new(code::USAGE, text))
+        }
         (name, _) => resume::named(name).map(|record| Some(Resumption::Job(Box::new(record)))),
     }
 }

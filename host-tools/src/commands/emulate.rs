@@ -114,7 +114,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
 }
 
 fn announce(address: &str) -> Result<(), ProgramError> {
-    writeln!(std::io::stdout(), "tcp:{address}").map_err(|cause| ProgramError::failed("stdout", cause))?;
+    writeln!(std::io::stdout(), "tcp:{address}").or_else(ProgramError::of_stdout)?;
     eprintln!("The firmware runs in the emulator. In another terminal:");
     let program = std::env::args().next().unwrap_or_else(|| "etherpen".into());
     let sample = Some("samples/astronaut.png").filter(|sample| Path::new(sample).exists());

@@ -95,7 +95,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     }
     std::io::stdout()
         .write_all(shown.as_bytes())
-        .map_err(|cause| ProgramError::failed("stdout", cause))
+        .or_else(ProgramError::of_stdout)
 }
 
 fn robot(options: &Options) -> Result<Robot, ProgramError> {

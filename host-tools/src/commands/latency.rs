@@ -90,7 +90,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     };
     std::io::stdout()
         .write_all(format!("{}{verdict}\n", table(&figures)).as_bytes())
-        .map_err(|cause| ProgramError::failed("stdout", cause))
+        .or_else(ProgramError::of_stdout)
 }
 
 /// Measures, with progress on stderr.

@@ -24,6 +24,7 @@ pub mod operate;
 mod operator;
 pub mod order;
 pub mod paper;
+mod pen_change;
 pub mod plan;
 pub mod ports;
 pub mod preview;
@@ -204,7 +205,7 @@ fn ended_by_a_signal() -> Result<Arc<AtomicBool>, ProgramError> {
 pub fn print_json(value: &impl serde::Serialize) -> Result<(), ProgramError> {
     use std::io::Write;
     let text = serde_json::to_string_pretty(value).map_err(|cause| ProgramError::failed("the report", cause))?;
-    writeln!(std::io::stdout(), "{text}").map_err(|cause| ProgramError::failed("stdout", cause))
+    writeln!(std::io::stdout(), "{text}").or_else(ProgramError::of_stdout)
 }
 
 #[cfg(test)]

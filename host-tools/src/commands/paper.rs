@@ -206,7 +206,7 @@ fn show(arguments: &Arguments, answer: &Answer) -> Result<(), ProgramError> {
     }
     std::io::stdout()
         .write_all(shown.as_bytes())
-        .map_err(|cause| ProgramError::failed("stdout", cause))
+        .or_else(ProgramError::of_stdout)
 }
 
 /// The dialogue that leads to the touches.

@@ -218,7 +218,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     }
     io::stdout()
         .write_all(shown(&answer, &axes(&config)).as_bytes())
-        .map_err(|cause| ProgramError::failed("stdout", cause))
+        .or_else(ProgramError::of_stdout)
 }
 
 /// Starts the table of references.

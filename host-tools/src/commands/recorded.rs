@@ -191,7 +191,7 @@ pub fn stats(arguments: &StatsArguments) -> Result<(), ProgramError> {
     }
     io::stdout()
         .write_all(text(&figures).as_bytes())
-        .map_err(|cause| ProgramError::failed("stdout", cause))
+        .or_else(ProgramError::of_stdout)
 }
 
 fn text(figures: &Statistics) -> String {

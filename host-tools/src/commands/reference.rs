@@ -287,5 +287,5 @@ fn print(answer: &Answer, kinematics: &Kinematics) -> Result<(), ProgramError> {
     }
     std::io::stdout()
         .write_all(shown.as_bytes())
-        .map_err(|cause| ProgramError::failed("stdout", cause))
+        .or_else(ProgramError::of_stdout)
 }

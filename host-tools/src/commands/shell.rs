@@ -26,9 +26,7 @@ pub struct Man {
 pub fn completions(arguments: &Completions, mut command: clap::Command) -> Result<(), ProgramError> {
     let mut script = Vec::new();
     clap_complete::generate(arguments.shell, &mut command, "etherpen", &mut script);
-    std::io::stdout()
-        .write_all(&script)
-        .map_err(|cause| ProgramError::failed("stdout", cause))
+    std::io::stdout().write_all(&script).or_else(ProgramError::of_stdout)
 }
 
 /// Writes the manual pages of a command line.

@@ -4,12 +4,13 @@
 //! configuration and brings up its bus.
 
 use super::hub::{Hub, Level, Topic};
+use super::jobs::{Continued, DrawnPart, Unfinished};
 use super::page_text::for_page;
 use super::{Console, lock};
 use crate::job::error::Phase;
-use crate::job::{JobEvent, Ready};
+use crate::job::{JobEvent, Motion, Ready};
 use crate::link::text;
-use crate::machine::{Answer, DrawOrder, News, NoNews, OVERTAKEN, Order, Subscription, Ticket};
+use crate::machine::{Answer, DrawOrder, Failure, News, NoNews, OVERTAKEN, Order, Subscription, Ticket};
 use etherpen::application::Mode;
 use etherpen::messages::Command;
 use etherpen::robots::Position;
@@ -191,21 +192,46 @@ fn take(console: &Console, news: News) {
         News::Job(event) => console.change(|hub| take_event(hub, event)),
         News::Ended { result, report } => {
             if report.is_some() {
-                console.change(|hub| {
-                    let text = match &result {
-                        Ok(()) => "drawn".to_owned(),
-                        Err(_) if hub.jobs.is_restarted() => RESTARTED.to_owned(),
-                        Err(failure) => failure.text.clone(),
-                    };
-                    match &result {
-                        Ok(()) => hub.note(Level::Info, "the drawing is done"),
-                        Err(_) => hub.note(Level::Warning, format!("the drawing ended early: {text}")),
-                    }
-                    hub.jobs.end(result.is_ok(), for_page(&text));
-                    hub.say_jobs();
-                });
+                end_drawing(console, &result);
             }
         }
+    }
+}
+
+/// Takes the end of a drawing, or of its layer.
+fn end_drawing(console: &Console, result: &Result<(), Failure>) {
+    let pauses = console.change(|hub| {
+        // In a pause nothing is drawn: the drawing that ended is another program's.
+        if hub.jobs.is_paused() {
+            return false;
+        }
+        if result.is_ok()
+            && let Some(DrawnPart::Pause(pause)) = hub.jobs.drawn()
+        {
+            let (layer, number, layers) = (&pause.layer, pause.number, pause.layers);
+            hub.note(
+                Level::Info,
+                format!("change the pen for layer {layer} ({number} of {layers})"),
+            );
+            hub.say_jobs();
+            return true;
+        }
+        let text = match result {
+            Ok(()) => "drawn".to_owned(),
+            Err(_) if hub.jobs.is_restarted() => RESTARTED.to_owned(),
+            Err(failure) => failure.text.clone(),
+        };
+        match result {
+            Ok(()) => hub.note(Level::Info, "the drawing is done"),
+            Err(_) => hub.note(Level::Warning, format!("the drawing ended early: {text}")),
+        }
+        hub.jobs.end(result.is_ok(), for_page(&text));
+        hub.say_jobs();
+        false
+    });
+    if let Some(position) = console.pen_change.filter(|_| pauses) {
+        let order = Order::Motion(Motion::Move(position));
+        console.order(console.ticket(), "moving to the place for changing the pen", order);
     }
 }
 
@@ -231,11 +257,18 @@ fn take_event(hub: &mut Hub, event: JobEvent) {
     }
 }
 
+fn is_referenced(hub: &Hub) -> Result<(), &'static str> {
+    match hub.status().is_some_and(|status| status.referenced) {
+        true => Ok(()),
+        false => Err("the controller does not know the robot's pose; home the robot, then continue"),
+    }
+}
+
 impl Console {
     /// Starts a waiting drawing; returns whether that was possible.
     pub(super) fn draw(&self, heard: Ticket, number: u64) -> bool {
         let drawing = self.change(|hub| {
-            let drawing = hub.jobs.start(number).zip(hub.jobs.activation());
+            let drawing = hub.jobs.start(number, &self.config).zip(hub.jobs.activation());
             hub.say_jobs();
             drawing
         });
@@ -246,26 +279,68 @@ impl Console {
         true
     }
 
-    /// Continues an unfinished drawing.
+    /// Continues an unfinished drawing; one that was left in a pause pauses again.
     ///
     /// # Errors
     /// Why it cannot continue now, as text for display.
     pub(super) fn go_on(&self, heard: Ticket, number: u64) -> Result<(), &'static str> {
-        let unfinished = self.change(|hub| {
-            if hub.status().is_none_or(|status| !status.referenced) {
-                return Err("the controller does not know the robot's pose; home the robot, then continue");
-            }
-            let unfinished = hub.jobs.go_on(number, &self.config);
+        let continued = self.change(|hub| {
+            is_referenced(hub)?;
+            let continued = hub.jobs.go_on(number, &self.config);
             hub.say_jobs();
-            unfinished.map(|unfinished| (unfinished, hub.jobs.activation().unwrap_or_default()))
+            continued.map(|continued| (continued, hub.jobs.activation().unwrap_or_default()))
         });
-        let (unfinished, activation) = unfinished?;
-        let drawing = crate::job::DrawTask {
-            may_reference: unfinished.is_whole,
-            ..crate::job::DrawTask::new(unfinished.path)
-        };
-        self.order_drawing(heard, activation, unfinished.name, drawing);
+        match continued? {
+            (Continued::Path(unfinished), activation) => self.order_rest(heard, activation, unfinished),
+            (Continued::Pause, _) => {}
+        }
         Ok(())
+    }
+
+    /// Draws the next layer of a drawing: its pen is in place.
+    ///
+    /// # Errors
+    /// Why it cannot be drawn now, as text for display; the drawing still pauses.
+    pub(super) fn pen_is_in(&self, heard: Ticket, number: u64) -> Result<(), &'static str> {
+        let layer = self.change(|hub| {
+            is_referenced(hub)?;
+            let resting = [Mode::DrivesOff, Mode::Idle];
+            if !hub.mode().is_some_and(|mode| resting.contains(&mode)) {
+                return Err("the robot is not at rest; acknowledge a fault first, and wait until the robot is at rest");
+            }
+            let layer = hub.jobs.pen_is_in(number, &self.config);
+            hub.say_jobs();
+            layer.map(|layer| (layer, hub.jobs.activation().unwrap_or_default()))
+        });
+        let (layer, activation) = layer?;
+        self.order_rest(heard, activation, layer);
+        Ok(())
+    }
+
+    /// Ends the drawing that waits for a pen; returns whether there was one.
+    pub(super) fn end_in_pause(&self) -> bool {
+        self.change(|hub| {
+            let pauses = hub.jobs.is_paused();
+            if pauses {
+                hub.note(Level::Info, "the drawing was ended while it waited for a pen");
+                hub.jobs.end(false, "ended while it waited for a pen");
+                hub.say_jobs();
+            }
+            pauses
+        })
+    }
+
+    /// Whether the robot moves outside of a drawing.
+    pub(super) fn is_moving(&self) -> bool {
+        self.hub().mode() == Some(Mode::Moving)
+    }
+
+    fn order_rest(&self, heard: Ticket, activation: u64, rest: Unfinished) {
+        let drawing = crate::job::DrawTask {
+            may_reference: rest.is_whole,
+            ..crate::job::DrawTask::new(rest.path)
+        };
+        self.order_drawing(heard, activation, rest.name, drawing);
     }
 
     fn order_drawing(&self, heard: Ticket, activation: u64, name: String, drawing: crate::job::DrawTask) {

@@ -1,10 +1,12 @@
 //! Drawings: active, waiting and past ones.
 //!
 //! A waiting drawing starts only on request: the paper has to be changed between two drawings. A drawing that ended
-//! early can continue where telemetry saw its ink end; the last millimetre is drawn again. Invariants: at most one
-//! drawing is active; waiting drawings are bounded in number and length; only the last entries of the past are kept,
-//! and only the paths of the last unfinished ones.
+//! early can continue where telemetry saw its ink end; the last millimetre is drawn again. A drawing of several layers
+//! may pause before each of them, for another pen; it stays active in the pause. Invariants: at most one drawing is
+//! active; waiting drawings are bounded in number and length; only the last entries of the past are kept, and only the
+//! paths of the last unfinished ones.
 
+use super::layers::{Layers, PathLayer, PauseView};
 use super::signals::SignalRow;
 use crate::job::ink::Ink;
 use crate::job::progress::{PathMeasure, Progress};
@@ -33,6 +35,8 @@ pub struct PreparedDrawing {
     pub path: Arc<[PathVertex]>,
     /// Number of strokes.
     pub strokes: u32,
+    /// Layers of the path, in the order of drawing.
+    pub layers: Vec<PathLayer>,
     /// Duration computed by the planner, s; NaN if it could not be computed.
     pub planned_s: f64,
 }
@@ -42,6 +46,7 @@ struct QueuedDrawing {
     drawing: PreparedDrawing,
     ink: Ink,
     measure: PathMeasure,
+    layers: Layers,
     /// The remainder since the drawing was continued, and the vertices executed before.
     rest: Option<(Remainder, usize)>,
     /// Executed vertices of the complete path.
@@ -51,16 +56,36 @@ struct QueuedDrawing {
 }
 
 impl QueuedDrawing {
-    fn new(number: u64, drawing: PreparedDrawing) -> Self {
+    fn new(number: u64, drawing: PreparedDrawing, pauses: bool) -> Self {
+        let layers = if pauses { drawing.layers.clone() } else { Vec::new() };
         Self {
             number,
             ink: Ink::new(drawing.path.clone()),
             measure: PathMeasure::default(),
+            layers: Layers::new(layers),
             rest: None,
             executed: 0,
             drawn_before_s: 0.0,
             drawing,
         }
+    }
+
+    /// The path from where the ink ends to the end of the present layer. Nothing of a layer that was drawn to its end is
+    /// drawn again.
+    fn rest(&mut self, config: &Config) -> Arc<[PathVertex]> {
+        let lift_um = (config.paper.pen_lift_mm * 1_000.0).round() as i32;
+        let (leg, end_um) = self.ink.end();
+        let path = &self.drawing.path;
+        let rest = match self.layers.drawn() {
+            drawn if leg < drawn || (leg == 0 && self.layers.are_several()) => {
+                Remainder::new(path, drawn, OVERLAP_UM, lift_um)
+            }
+            _ => Remainder::after(path, leg, end_um, OVERLAP_UM, lift_um),
+        };
+        let part = self.layers.part(&rest, path.len());
+        self.measure = PathMeasure::new(path, config);
+        self.rest = Some((rest, self.executed));
+        part
     }
 
     /// Progress along the complete path, from the progress of the part being drawn.
@@ -79,6 +104,23 @@ impl QueuedDrawing {
                 .progress(number(*before), number(self.executed), progress.elapsed_s)
         }
     }
+}
+
+/// How a drawing that was drawn up to the end of its path or layer goes on.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum DrawnPart {
+    /// The drawing is complete.
+    Whole,
+    /// The next layer waits for its pen.
+    Pause(PauseView),
+}
+
+/// How an unfinished drawing is continued.
+pub enum Continued {
+    /// With a path.
+    Path(Unfinished),
+    /// With a pause: the next layer waits for its pen.
+    Pause,
 }
 
 /// A drawing to be continued.
@@ -133,6 +175,8 @@ struct Past {
 #[derive(Debug, Serialize)]
 pub struct JobsView {
     active: Option<JobView>,
+    /// The pause of the active drawing, if its next layer waits for its pen.
+    pause: Option<PauseView>,
     phase: String,
     waiting: Vec<JobView>,
     past: Vec<PastView>,
@@ -184,11 +228,12 @@ impl Jobs {
         }
     }
 
-    /// Queues a drawing; returns its number. A single drawing may be of any length.
+    /// Queues a drawing; returns its number. A single drawing may be of any length. With `pauses` it pauses between its
+    /// layers.
     ///
     /// # Errors
     /// Too many drawings wait, or they are too long together.
-    pub fn enqueue(&mut self, drawing: PreparedDrawing) -> Result<u64, &'static str> {
+    pub fn enqueue(&mut self, drawing: PreparedDrawing, pauses: bool) -> Result<u64, &'static str> {
         if self.waiting.len() >= WAITING_MAX {
             return Err("the queue is full: 20 drawings wait; draw or discard one first");
         }
@@ -198,7 +243,7 @@ impl Jobs {
         }
         let number = self.next;
         self.next += 1;
-        self.waiting.push(QueuedDrawing::new(number, drawing));
+        self.waiting.push(QueuedDrawing::new(number, drawing, pauses));
         Ok(number)
     }
 
@@ -209,14 +254,18 @@ impl Jobs {
         self.waiting.len() < before
     }
 
-    /// Activates a waiting drawing; returns its name and path. `None` while another is active.
-    pub fn start(&mut self, number: u64) -> Option<(String, Arc<[PathVertex]>)> {
+    /// Activates a waiting drawing; returns its name and the path up to its first pause. `None` while another is active.
+    pub fn start(&mut self, number: u64, config: &Config) -> Option<(String, Arc<[PathVertex]>)> {
         if self.active.is_some() {
             return None;
         }
         let index = self.waiting.iter().position(|job| job.number == number)?;
-        let job = self.waiting.remove(index);
-        let begun = (job.drawing.name.clone(), job.drawing.path.clone());
+        let mut job = self.waiting.remove(index);
+        let path = match job.layers.are_several() {
+            true => job.rest(config),
+            false => job.drawing.path.clone(),
+        };
+        let begun = (job.drawing.name.clone(), path);
         self.activate(job);
         Some(begun)
     }
@@ -229,11 +278,11 @@ impl Jobs {
         self.restarted = false;
     }
 
-    /// Activates an unfinished drawing again; returns its remainder.
+    /// Activates an unfinished drawing again; returns its remainder up to the next pause, or that it pauses at once.
     ///
     /// # Errors
     /// Another drawing is active, or nothing is left to continue.
-    pub fn go_on(&mut self, number: u64, config: &Config) -> Result<Unfinished, &'static str> {
+    pub fn go_on(&mut self, number: u64, config: &Config) -> Result<Continued, &'static str> {
         if self.active.is_some() {
             return Err("another drawing is active");
         }
@@ -244,26 +293,64 @@ impl Jobs {
             .position(|past| past.view.job.number == number && past.job.is_some());
         let past = index.and_then(|index| self.past.get_mut(index)).ok_or(gone)?;
         let job = past.job.as_mut().ok_or(gone)?;
-        let (leg, end_um) = job.ink.end();
-        let lift_um = (config.paper.pen_lift_mm * 1_000.0).round() as i32;
-        let rest = Remainder::after(&job.drawing.path, leg, end_um, OVERLAP_UM, lift_um);
-        if rest.vertices.is_empty() {
+        job.drawn_before_s = past.view.drawn_s;
+        let waits = job.layers.wait();
+        let unfinished = Unfinished {
+            name: job.drawing.name.clone(),
+            path: if waits { Arc::default() } else { job.rest(config) },
+            is_whole: job.ink.end().0 == 0,
+        };
+        if !waits && unfinished.path.is_empty() {
             past.job = None;
             past.view.unfinished = false;
             return Err("all of this drawing's strokes were drawn");
         }
-        let unfinished = Unfinished {
-            name: job.drawing.name.clone(),
-            path: rest.vertices.clone().into(),
-            is_whole: leg == 0,
-        };
-        job.drawn_before_s = past.view.drawn_s;
-        job.measure = PathMeasure::new(&job.drawing.path, config);
-        job.rest = Some((rest, job.executed));
         let job = index
             .and_then(|index| self.past.remove(index))
             .and_then(|past| past.job);
         self.activate(job.ok_or(gone)?);
+        Ok(if waits {
+            Continued::Pause
+        } else {
+            Continued::Path(unfinished)
+        })
+    }
+
+    /// The active drawing was drawn up to the end of its path or layer. A complete one is ended with
+    /// [`Jobs::end`]; otherwise it stays active and pauses. `None` if no drawing is active, or if it pauses already.
+    pub fn drawn(&mut self) -> Option<DrawnPart> {
+        let job = self.active.as_mut().filter(|job| !job.layers.wait())?;
+        if !job.layers.end() {
+            return Some(DrawnPart::Whole);
+        }
+        job.drawn_before_s = self.elapsed_s;
+        job.executed = job.layers.drawn();
+        job.layers.view(job.number).map(DrawnPart::Pause)
+    }
+
+    /// Whether the active drawing waits for the next layer's pen.
+    pub fn is_paused(&self) -> bool {
+        self.active.as_ref().is_some_and(|job| job.layers.wait())
+    }
+
+    /// Ends the pause of the active drawing: the next layer's pen is in place. Returns that layer's path.
+    ///
+    /// # Errors
+    /// This drawing is not active, or it does not wait for a pen.
+    pub fn pen_is_in(&mut self, number: u64, config: &Config) -> Result<Unfinished, &'static str> {
+        let active = self.active.as_mut().filter(|job| job.number == number);
+        let job = active.ok_or("this drawing does not wait for a pen")?;
+        if !job.layers.pen_is_in() {
+            return Err("this drawing does not wait for a pen");
+        }
+        let unfinished = Unfinished {
+            name: job.drawing.name.clone(),
+            path: job.rest(config),
+            is_whole: false,
+        };
+        self.activations += 1;
+        self.phase = "starting".to_owned();
+        self.restarted = false;
         Ok(unfinished)
     }
 
@@ -355,6 +442,7 @@ impl Jobs {
     pub fn view(&self) -> JobsView {
         JobsView {
             active: self.active.as_ref().map(JobView::of),
+            pause: self.active.as_ref().and_then(|job| job.layers.view(job.number)),
             phase: self.phase.clone(),
             waiting: self.waiting.iter().map(JobView::of).collect(),
             past: self.past.iter().map(|past| past.view.clone()).collect(),
@@ -377,16 +465,112 @@ mod tests {
             name: "line".to_owned(),
             path: (0..10).map(vertex).collect(),
             strokes: 1,
+            layers: Vec::new(),
             planned_s: 1.0,
         }
     }
 
+    /// Two layers of one stroke each; each stroke is above, down, along and up.
+    fn two_layers() -> PreparedDrawing {
+        let stroke = |stroke: u32| {
+            let vertex = move |(x_mm, z_mm, pen): (i32, i32, Pen)| PathVertex {
+                position_um: [x_mm * 1_000, 0, z_mm * 1_000],
+                pen,
+                stroke,
+            };
+            let x_mm = 50 * stroke as i32;
+            [
+                (x_mm, -840, Pen::Up),
+                (x_mm, -850, Pen::Up),
+                (x_mm + 20, -850, Pen::Down),
+                (x_mm + 20, -840, Pen::Up),
+            ]
+            .map(vertex)
+        };
+        let layer = |name: &str, end| PathLayer {
+            name: name.to_owned(),
+            end,
+        };
+        PreparedDrawing {
+            path: [stroke(0), stroke(1)].concat().into(),
+            strokes: 2,
+            layers: vec![layer("red", 4), layer("blue", 8)],
+            ..drawing()
+        }
+    }
+
+    fn path(continued: Continued) -> Option<Arc<[PathVertex]>> {
+        match continued {
+            Continued::Path(unfinished) => Some(unfinished.path),
+            Continued::Pause => None,
+        }
+    }
+
+    #[test]
+    fn layers_are_drawn_one_by_one_with_a_pause_that_outlives_a_cancel() {
+        let (mut jobs, config) = (Jobs::new(), Config::default());
+        let whole = two_layers().path;
+        let number = jobs.enqueue(two_layers(), true).unwrap();
+        assert_eq!(jobs.start(number, &config).unwrap().1[..], whole[..4]);
+        assert!(jobs.pen_is_in(number, &config).is_err(), "no pen is awaited yet");
+        let executed = |jobs: &mut Jobs, vertices| {
+            let progress = Progress {
+                vertices,
+                elapsed_s: 3.0,
+                ..Progress::default()
+            };
+            jobs.progress(&progress).map(|view| (view.executed, view.vertices))
+        };
+        assert_eq!(executed(&mut jobs, 4), Some((4, 8)));
+        let Some(DrawnPart::Pause(pause)) = jobs.drawn() else {
+            panic!("the second layer needs another pen")
+        };
+        assert_eq!((pause.layer.as_str(), pause.number, pause.layers), ("blue", 2, 2));
+        assert_eq!(jobs.drawn(), None, "the end of another task ends no pause");
+        assert!(jobs.is_paused() && jobs.activation().is_some());
+
+        jobs.end(false, "cancelled in the pause");
+        assert!(
+            path(jobs.go_on(number, &config).unwrap()).is_none(),
+            "the pen is asked for again"
+        );
+        assert!(jobs.pen_is_in(number + 1, &config).is_err());
+        assert_eq!(jobs.pen_is_in(number, &config).unwrap().path[..], whole[4..]);
+        assert!(
+            jobs.pen_is_in(number, &config).is_err(),
+            "a second press starts nothing"
+        );
+        // A refused start of the second layer does not lead back into the first.
+        jobs.end(false, "the link broke");
+        assert_eq!(path(jobs.go_on(number, &config).unwrap()).unwrap()[..], whole[4..]);
+        assert_eq!(executed(&mut jobs, 4), Some((8, 8)));
+        assert_eq!(jobs.drawn(), Some(DrawnPart::Whole));
+        jobs.end(true, "drawn");
+        assert!(
+            jobs.view()
+                .past
+                .first()
+                .is_some_and(|past| past.done && !past.unfinished)
+        );
+    }
+
+    #[test]
+    fn layers_are_drawn_without_a_pause_unless_it_is_wanted() {
+        let (mut jobs, config) = (Jobs::new(), Config::default());
+        let number = jobs.enqueue(two_layers(), false).unwrap();
+        assert_eq!(jobs.start(number, &config).unwrap().1, two_layers().path);
+        assert_eq!(jobs.drawn(), Some(DrawnPart::Whole));
+    }
+
     #[test]
     fn one_drawing_is_active_and_the_others_wait_until_they_are_started() {
-        let mut jobs = Jobs::new();
-        let (first, second) = (jobs.enqueue(drawing()).unwrap(), jobs.enqueue(drawing()).unwrap());
-        assert!(jobs.start(first).is_some());
-        assert!(jobs.start(second).is_none());
+        let (mut jobs, config) = (Jobs::new(), Config::default());
+        let (first, second) = (
+            jobs.enqueue(drawing(), false).unwrap(),
+            jobs.enqueue(drawing(), false).unwrap(),
+        );
+        assert!(jobs.start(first, &config).is_some());
+        assert!(jobs.start(second, &config).is_none());
         let progress = Progress {
             vertices: 10,
             elapsed_s: 2.0,
@@ -396,21 +580,24 @@ mod tests {
         jobs.end(true, "drawn");
         assert_eq!(jobs.activation(), None);
         assert_eq!(jobs.on_sheet().map(|(number, _)| number), Some(first));
-        assert!(jobs.start(second).is_some());
+        assert!(jobs.start(second, &config).is_some());
         assert_eq!(jobs.view().past.first().map(|past| past.drawn_s), Some(2.0));
     }
 
     #[test]
     fn queue_and_past_are_bounded() {
-        let mut jobs = Jobs::new();
+        let (mut jobs, config) = (Jobs::new(), Config::default());
         for _ in 0..2 * PAST_MAX {
-            let number = jobs.enqueue(drawing()).unwrap();
-            jobs.start(number);
+            let number = jobs.enqueue(drawing(), false).unwrap();
+            jobs.start(number, &config);
             jobs.end(false, "cancelled");
         }
         assert_eq!(jobs.view().past.len(), PAST_MAX);
-        assert!((0..WAITING_MAX).all(|_| jobs.enqueue(drawing()).is_ok()));
-        assert!(jobs.enqueue(drawing()).is_err_and(|why| why.contains("20 drawings")));
+        assert!((0..WAITING_MAX).all(|_| jobs.enqueue(drawing(), false).is_ok()));
+        assert!(
+            jobs.enqueue(drawing(), false)
+                .is_err_and(|why| why.contains("20 drawings"))
+        );
         let number = jobs.view().waiting.first().map(|job| job.number).unwrap();
         assert!(jobs.discard(number) && !jobs.discard(number));
     }
@@ -423,12 +610,12 @@ mod tests {
         };
         let mut jobs = Jobs::new();
         let half = VERTICES_MAX / 2;
-        let first = jobs.enqueue(long(half)).unwrap();
-        assert!(jobs.enqueue(long(half)).is_ok());
-        let refused = jobs.enqueue(long(1)).unwrap_err();
+        let first = jobs.enqueue(long(half), false).unwrap();
+        assert!(jobs.enqueue(long(half), false).is_ok());
+        let refused = jobs.enqueue(long(1), false).unwrap_err();
         assert!(refused.contains("draw or discard one"), "{refused}");
-        assert!(jobs.discard(first) && jobs.enqueue(long(1)).is_ok());
+        assert!(jobs.discard(first) && jobs.enqueue(long(1), false).is_ok());
         let mut jobs = Jobs::new();
-        assert!(jobs.enqueue(long(VERTICES_MAX + 1)).is_ok() && jobs.enqueue(drawing()).is_err());
+        assert!(jobs.enqueue(long(VERTICES_MAX + 1), false).is_ok() && jobs.enqueue(drawing(), false).is_err());
     }
 }

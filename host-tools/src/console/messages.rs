@@ -236,6 +236,9 @@ pub enum Request {
     Enqueue {
         /// Number of the preparation.
         preparation: u64,
+        /// Whether the drawing pauses between its layers.
+        #[serde(default)]
+        pauses: bool,
     },
     /// Start a drawing of the queue.
     Start {
@@ -244,6 +247,11 @@ pub enum Request {
     },
     /// Continue an unfinished drawing where its ink ends.
     Continue {
+        /// Number of the drawing.
+        job: u64,
+    },
+    /// Draw the next layer of a drawing: its pen is in place.
+    PenIsIn {
         /// Number of the drawing.
         job: u64,
     },

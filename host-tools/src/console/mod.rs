@@ -18,6 +18,7 @@ pub mod gate;
 pub mod history;
 pub mod hub;
 pub mod jobs;
+pub mod layers;
 mod line_errors;
 mod measuring;
 pub mod messages;
@@ -35,6 +36,7 @@ use crate::axes::axes;
 use crate::link::port::{PortError, PortName};
 use crate::machine::{Machine, MachineOptions, Order, Ticket};
 use etherpen::config::Config;
+use etherpen::robots::Position;
 use event_pump::EventPump;
 use gate::Gate;
 use hub::{Hub, Level, Topic};
@@ -135,6 +137,8 @@ pub struct Console {
     removed: Mutex<Vec<usize>>,
     preview: Mutex<Preview>,
     sheet: Mutex<sheet::SheetTouches>,
+    /// Where the robot goes for a change of the pen; `None`: it stays over the last stroke.
+    pen_change: Option<Position>,
     changed: watch::Sender<u64>,
     gate: Arc<Gate>,
     viewers: viewer::Viewers,
@@ -144,7 +148,8 @@ pub struct Console {
 }
 
 impl Console {
-    /// A console for a machine at a port; `cell` is the virtual cell behind the port, with its firmware.
+    /// A console for a machine at a port; `cell` is the virtual cell behind the port, with its firmware. For a change of
+    /// the pen the robot goes to `pen_change`, or stays over the last stroke.
     ///
     /// # Errors
     /// The machine's thread cannot be started.
@@ -153,6 +158,7 @@ impl Console {
         token: String,
         port: PortName,
         cell: Option<(VirtualCell, &'static str)>,
+        pen_change: Option<Position>,
     ) -> Result<Arc<Self>, PortError> {
         let shown = match &cell {
             Some((_, kind)) => format!("{kind} robot"),
@@ -204,6 +210,7 @@ impl Console {
             removed: Mutex::new(Vec::new()),
             preview: Mutex::default(),
             sheet: Mutex::default(),
+            pen_change,
             changed: watch::channel(0).0,
             gate: Arc::default(),
             viewers: viewer::Viewers::default(),
@@ -365,8 +372,8 @@ impl Console {
         true
     }
 
-    /// Adds the prepared drawing to the queue.
-    fn enqueue(&self, preparation: u64) -> Result<(), &'static str> {
+    /// Adds the prepared drawing to the queue; with `pauses` it pauses between its layers.
+    fn enqueue(&self, preparation: u64, pauses: bool) -> Result<(), &'static str> {
         let Some((_, drawing)) = self.preview().filter(|(number, _)| *number == preparation) else {
             return Err("this preview no longer exists");
         };
@@ -375,7 +382,7 @@ impl Console {
             ..PreparationView::default()
         };
         self.change(|hub| -> Result<(), &'static str> {
-            hub.jobs.enqueue(drawing)?;
+            hub.jobs.enqueue(drawing, pauses)?;
             hub.say_jobs();
             hub.say(Topic::Preparation, &idle);
             Ok(())

@@ -3,6 +3,7 @@
 //! Invariant: the preview shows exactly the path that is sent to the firmware.
 
 use super::jobs::PreparedDrawing;
+use super::layers::PathLayer;
 use super::page_text::for_page;
 use crate::drawing::preparation::prepare::prepare_with;
 use crate::drawing::preparation::source::SourceArguments;
@@ -38,6 +39,8 @@ pub struct PreparationView {
     pub pen_down_mm: f64,
     /// Length of the travel moves, mm.
     pub pen_up_mm: f64,
+    /// Names of the layers, in the order of drawing.
+    pub layers: Vec<String>,
     /// Duration computed by the planner, s.
     pub planned_s: f64,
     /// Options requested.
@@ -67,6 +70,7 @@ impl PreparationView {
                     strokes: drawing.strokes,
                     pen_down_mm,
                     pen_up_mm,
+                    layers: drawing.layers.iter().map(|layer| layer.name.clone()).collect(),
                     planned_s: drawing.planned_s,
                     ..plain
                 }
@@ -222,6 +226,11 @@ pub fn compose(config: &Config, name: &str, wishes: &PageOptions, content: &[u8]
         name,
         strokes: path.iter().map(|vertex| vertex.stroke + 1).max().unwrap_or(0),
         path: path.into(),
+        layers: prepared
+            .layers
+            .into_iter()
+            .map(|(name, end)| PathLayer { name, end })
+            .collect(),
         planned_s: planned_s(config, &prepared.path),
     })
 }

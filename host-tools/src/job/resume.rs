@@ -160,6 +160,50 @@ pub fn named(name: &str) -> Result<Record, ProgramError> {
     }
 }
 
+/// Where a drawing of several parts goes on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct LastPart {
+    /// Index of the first part that is left to draw.
+    pub index: usize,
+    /// Whether that part was not begun: the part before was drawn to its end.
+    pub is_next: bool,
+}
+
+/// Where a drawing goes on whose parts, in the order of drawing, have paths with these hashes.
+///
+/// # Errors
+/// The log cannot be read, knows none of the parts, or knows the last part as drawn to its end.
+pub fn last_part(hashes: &[String], file: &Path) -> Result<LastPart, ProgramError> {
+    part_left(&records()?, hashes, file)
+}
+
+fn part_left(records: &[Record], hashes: &[String], file: &Path) -> Result<LastPart, ProgramError> {
+    let with_ink = records
+        .iter()
+        .rev()
+        .filter(|record| record.entry.completed || record.entry.strokes > 0);
+    let mut parts = with_ink.filter_map(|record| {
+        let index = hashes.iter().position(|hash| *hash == record.entry.path_hash)?;
+        Some((index, record.entry.completed))
+    });
+    match parts.next() {
+        Some((index, true)) if index + 1 == hashes.len() => Err(complete(&file.display().to_string())),
+        Some((index, true)) => Ok(LastPart {
+            index: index + 1,
+            is_next: true,
+        }),
+        Some((index, false)) => Ok(LastPart { index, is_next: false }),
+        None => {
+            let text = format!(
+                "the log of jobs knows no layer of {} with these options (etherpen jobs lists them); draw it without \
+                 --resume",
+                file.display()
+            );
+            Err(ProgramError::new(code::INPUT, text))
+        }
+    }
+}
+
 fn complete(what: &str) -> ProgramError {
     let text = format!("{what} was drawn to its end; nothing is left to draw");
     ProgramError::new(code::INPUT, text)
@@ -443,6 +487,37 @@ mod tests {
         let refused = chosen(again, &MachineState::default()).unwrap_err();
         assert!(refused.message.contains("drawn to its end"), "{}", refused.message);
         assert!(numbers(&[]).unwrap_err().message.contains("no unfinished drawing"));
+    }
+
+    #[test]
+    fn a_drawing_of_several_parts_goes_on_with_the_first_that_is_left() {
+        let of = |parts: &[(&str, u32, bool)]| {
+            let jobs: Vec<_> = parts
+                .iter()
+                .map(|(_, strokes, completed)| (*strokes, *completed))
+                .collect();
+            let mut records = log(&jobs);
+            for (record, (hash, ..)) in records.iter_mut().zip(parts) {
+                record.entry.path_hash = (*hash).to_owned();
+            }
+            let hashes = ["red", "green", "blue"].map(str::to_owned);
+            let left = part_left(&records, &hashes, Path::new("flag.svg"));
+            left.map(|left| (left.index, left.is_next))
+                .map_err(|error| error.message)
+        };
+        assert_eq!(of(&[("red", 9, true)]), Ok((1, true)));
+        assert_eq!(of(&[("red", 9, true), ("green", 0, false)]), Ok((1, true)));
+        assert_eq!(
+            of(&[("red", 9, true), ("green", 3, false), ("other", 5, true)]),
+            Ok((1, false))
+        );
+        assert_eq!(
+            of(&[("blue", 4, true), ("red", 2, false)]),
+            Ok((0, false)),
+            "a second drawing"
+        );
+        assert!(of(&[("red", 9, true), ("blue", 4, true)]).is_err_and(|why| why.contains("to its end")));
+        assert!(of(&[("other", 9, true)]).is_err_and(|why| why.contains("without --resume")));
     }
 
     #[test]

@@ -306,6 +306,11 @@ pub fn io_error(error: &IoError) -> String {
                                       height; write kind = \"axis\" in [pen]"
                 .into()
         }
+        IoError::PenPositions { io } => format!(
+            "io {}: the output that lowers the pen is a bit (type = \"bool\") with kind = \"output\" in [pen], and a word with \
+             kind = \"servo\", whose type holds both up and down, two different values",
+            one(io)
+        ),
         IoError::LimitAxis { io, axes } => format!(
             "io {}: the role limit needs axis = 0 to {}, the axis of the limit switch, and no other role has an axis",
             one(io),

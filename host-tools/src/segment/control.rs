@@ -152,7 +152,7 @@ impl Control {
                 continue;
             };
             let text = if self.json { answer.to_string() } else { text(&answer) };
-            writeln!(io::stdout(), "{text}").map_err(|cause| ProgramError::failed("stdout", cause))?;
+            writeln!(io::stdout(), "{text}").or_else(ProgramError::of_stdout)?;
         }
         self.prompt = (!prompt.ended).then_some(prompt);
         Ok(())

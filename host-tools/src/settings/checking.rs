@@ -11,7 +11,7 @@ use super::reading::{self, ReadingError};
 use super::shortened;
 use crate::axes::{AxisView, Motion, Quantity, axes};
 use crate::link::text;
-use etherpen::config::{Config, ConfigError, IoError, IoRole, PenLiftKind};
+use etherpen::config::{Config, ConfigError, IoError, IoRole};
 use etherpen::motion::{WorkArea, effective_jerk_window_ms};
 use etherpen::robots::{GeometryError, Kinematics, MAIN_AXES, Position};
 use serde::Serialize;
@@ -276,6 +276,7 @@ fn io_line(places: &Places<'_>, cause: &IoError) -> Option<usize> {
         | IoError::Slave { io, .. }
         | IoError::Place { io }
         | IoError::LimitAxis { io, .. }
+        | IoError::PenPositions { io }
         | IoError::Bit { io, .. }
         | IoError::Role { io, .. } => places.of_io(io),
         IoError::HomeSwitch { axis } | IoError::CoupledAxis { axis } | IoError::SameHomeSwitch { second: axis, .. } => {
@@ -384,7 +385,7 @@ impl Checks<'_> {
     /// Whether something lowers the pen.
     fn pen(&self, found: &mut Vec<Finding>) {
         let has_output = self.config.io.iter().any(|point| point.role == IoRole::Pen);
-        if self.config.pen.kind == PenLiftKind::Output && !has_output {
+        if self.config.pen.kind.is_output() && !has_output {
             found.push(Finding {
                 gravity: Gravity::Error,
                 line: self.places.of("pen", &["kind"]),

@@ -49,7 +49,7 @@ pub fn follows(config: &Config) -> Result<(), String> {
     let by = match config.pen.kind {
         PenLiftKind::Axis if usize::from(config.bus.drives) >= MAIN_AXES => return Ok(()),
         PenLiftKind::Axis => "has no axis for its height",
-        PenLiftKind::Output => "is lowered by an output",
+        PenLiftKind::Output | PenLiftKind::Servo => "is lowered by an output",
         PenLiftKind::None => "always touches",
     };
     Err(format!(

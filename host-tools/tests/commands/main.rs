@@ -21,6 +21,8 @@ mod installed;
 mod io;
 mod kickcat;
 #[cfg(target_os = "linux")]
+mod layers;
+#[cfg(target_os = "linux")]
 mod machines;
 mod network;
 mod other_masters;

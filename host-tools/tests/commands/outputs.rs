@@ -4,7 +4,7 @@ use crate::program::{Folder, etherpen, run, strokes};
 use host_tools::error::code;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
+use std::process::{Command, Stdio};
 
 const LINES: &str = "<svg xmlns='http://www.w3.org/2000/svg' width='60mm' height='60mm' viewBox='0 0 60 60'>\
     <path d='M5 5H40' stroke='red'/><path d='M5 20H40' stroke='red'/><path d='M5 10H40' stroke='blue'/></svg>";
@@ -363,6 +363,53 @@ fn a_folder_of_results_stays_that_of_the_last_run_when_the_disk_is_full() {
             .iter()
             .all(|path| fs::metadata(path).is_ok_and(|file| file.len() > 100))
     );
+}
+
+#[test]
+fn a_reader_that_has_ended_ends_a_command_quietly_and_a_full_disk_is_an_error() {
+    let folder = Folder::new();
+    for words in [
+        &["config", "show"][..],
+        &["config", "show", "--json"],
+        &["completions", "bash"],
+        &["doctor"],
+    ] {
+        let (open, _, _) = run(etherpen(&folder).args(words));
+        let (reader, writer) = std::io::pipe().expect("a pipe");
+        drop(reader);
+        let output = etherpen(&folder)
+            .args(words)
+            .stdout(writer)
+            .stderr(Stdio::piped())
+            .spawn();
+        let output = output
+            .and_then(std::process::Child::wait_with_output)
+            .expect("the program starts");
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), open, "{words:?}: {stderr}");
+        assert!(
+            !stderr.contains("panicked") && !stderr.contains("stdout"),
+            "{words:?}: {stderr}"
+        );
+        let full = fs::OpenOptions::new()
+            .write(true)
+            .open("/dev/full")
+            .expect("a full device");
+        let output = etherpen(&folder)
+            .args(words)
+            .stdout(full)
+            .stderr(Stdio::piped())
+            .spawn();
+        let output = output
+            .and_then(std::process::Child::wait_with_output)
+            .expect("the program starts");
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_ne!(output.status.code(), Some(0), "{words:?}: {stderr}");
+        assert!(
+            !stderr.contains("panicked") && stderr.contains("stdout: "),
+            "{words:?}: {stderr}"
+        );
+    }
 }
 
 #[test]

@@ -1,6 +1,7 @@
 //! A console with a simulated robot, and a test as viewer.
 
 use etherpen::config::Config;
+use etherpen::robots::Position;
 use host_tools::cell::CellOptions;
 use host_tools::console::Console;
 use host_tools::console::hub::Level;
@@ -34,10 +35,15 @@ impl Rig {
     }
 
     pub(crate) fn in_cell(options: CellOptions) -> Self {
+        Self::with_pen_change(options, None)
+    }
+
+    /// A console whose robot goes to this place for a change of the pen.
+    pub(crate) fn with_pen_change(options: CellOptions, place: Option<Position>) -> Self {
         let config = Config::default();
         let cell = VirtualCell::start(&config, options, Firmware::Simulated).unwrap();
         let (port, view) = (cell.port(), cell.view());
-        let console = Console::start(config, TOKEN.to_owned(), port, Some((cell, "simulated"))).unwrap();
+        let console = Console::start(config, TOKEN.to_owned(), port, Some((cell, "simulated")), place).unwrap();
         let server = Server::start(console.clone(), "127.0.0.1:0".parse().unwrap()).unwrap();
         Self {
             server,

@@ -3,6 +3,7 @@
 mod browser;
 mod client;
 mod hostile;
+mod layers;
 mod page;
 mod preparation;
 mod protocol;

@@ -1,7 +1,8 @@
-//! Digital input and output terminals, as their information memories describe them.
+//! Input and output terminals, as their information memories describe them.
 //!
 //! They have no processor: the controller emulates the device and gives the bits of its first sync manager to the
-//! outside. Each channel is a PDO of one bit. Values of Beckhoff's EL1004, EL1008, EL2004 and EL2008.
+//! outside. Each channel is a PDO of one entry. Values of Beckhoff's EL1004, EL1008, EL2004 and EL2008; the analogue
+//! terminal has this project's own numbers.
 
 use crate::controller::silicon::Silicon;
 use crate::devices::image_device::ImageDevice;
@@ -19,10 +20,13 @@ const VENDOR: u32 = 2;
 pub(crate) struct Terminal {
     name: &'static str,
     order: &'static str,
+    vendor: u32,
     product: u32,
     revision: u32,
     current_ma: i16,
     channels: u8,
+    /// Bits of a channel.
+    bits: u8,
     direction: Direction,
 }
 
@@ -36,10 +40,12 @@ enum Direction {
 pub(crate) const EL1004: Terminal = Terminal {
     name: "EL1004 4 digital inputs 24 V, 3 ms",
     order: "EL1004",
+    vendor: VENDOR,
     product: 0x03EC_3052,
     revision: 0x0013_0000,
     current_ma: 90,
     channels: 4,
+    bits: 1,
     direction: Direction::Inputs,
 };
 
@@ -57,10 +63,12 @@ pub(crate) const EL1008: Terminal = Terminal {
 pub(crate) const EL2004: Terminal = Terminal {
     name: "EL2004 4 digital outputs 24 V, 0.5 A",
     order: "EL2004",
+    vendor: VENDOR,
     product: 0x07D4_3052,
     revision: 0x0010_0000,
     current_ma: 100,
     channels: 4,
+    bits: 1,
     direction: Direction::Outputs,
 };
 
@@ -71,6 +79,17 @@ pub(crate) const EL2008: Terminal = Terminal {
     product: 0x07D8_3052,
     current_ma: 110,
     channels: 8,
+    ..EL2004
+};
+
+/// Two analogue outputs of 16 bits.
+pub(crate) const AO2: Terminal = Terminal {
+    name: "AO2 2 analogue outputs 16 bit",
+    order: "AO2",
+    vendor: 0x0000_0E7E,
+    product: 0x0000_0A02,
+    channels: 2,
+    bits: 16,
     ..EL2004
 };
 
@@ -112,7 +131,7 @@ impl Terminal {
             let entry = PdoEntry {
                 index: entry + 0x10 * number,
                 sub: 1,
-                bits: 1,
+                bits: self.bits,
             };
             PdoDescription {
                 pdo: Pdo::new(pdo + number, "Channel", true, &[entry]),
@@ -122,7 +141,7 @@ impl Terminal {
         };
         sii::image(&Description {
             identity: Identity {
-                vendor: VENDOR,
+                vendor: self.vendor,
                 product: self.product,
                 revision: self.revision,
                 serial: 0,

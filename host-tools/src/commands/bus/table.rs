@@ -28,5 +28,5 @@ pub(super) fn print<const COLUMNS: usize>(
 
 /// Prints a line on stdout.
 pub(super) fn say(line: &str) -> Result<(), ProgramError> {
-    writeln!(std::io::stdout(), "{line}").map_err(|cause| ProgramError::failed("stdout", cause))
+    writeln!(std::io::stdout(), "{line}").or_else(ProgramError::of_stdout)
 }

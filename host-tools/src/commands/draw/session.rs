@@ -9,7 +9,7 @@ use std::io::IsTerminal;
 use std::time::Duration;
 
 /// Time between two checks of the keyboard.
-const LOOK: Duration = Duration::from_millis(20);
+pub(super) const LOOK: Duration = Duration::from_millis(20);
 
 /// Shows a drawing and passes on the operator's keys until the drawing has ended.
 pub(super) fn attend(

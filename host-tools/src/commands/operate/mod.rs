@@ -137,7 +137,7 @@ fn velocity(text: &str) -> Result<Velocity, String> {
     three(text).map(|numbers| Velocity(numbers.map(|number| number as f32)))
 }
 
-fn position(text: &str) -> Result<Position, String> {
+pub(super) fn position(text: &str) -> Result<Position, String> {
     three(text).map(Position::from)
 }
 

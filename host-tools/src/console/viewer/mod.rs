@@ -366,7 +366,11 @@ impl Viewer {
     fn operate(&self, heard: Ticket, request: Request, now_ms: u64) {
         let console = &self.console;
         match request {
-            Request::Command { .. } | Request::Jog { .. } | Request::Start { .. } | Request::Continue { .. }
+            Request::Command { .. }
+            | Request::Jog { .. }
+            | Request::Start { .. }
+            | Request::Continue { .. }
+            | Request::PenIsIn { .. }
                 if console.is_overtaken(heard) =>
             {
                 self.refuse(OVERTAKEN);
@@ -389,10 +393,19 @@ impl Viewer {
                     self.refuse(&why);
                 }
             }
-            Request::Enqueue { preparation } => self.enqueue(preparation),
+            Request::Enqueue { preparation, pauses } => {
+                if let Err(why) = console.enqueue(preparation, pauses) {
+                    self.refuse(why);
+                }
+            }
             Request::Start { job } => self.start(heard, job),
             Request::Continue { job } => {
                 if let Err(why) = console.go_on(heard, job) {
+                    self.refuse(why);
+                }
+            }
+            Request::PenIsIn { job } => {
+                if let Err(why) = console.pen_is_in(heard, job) {
                     self.refuse(why);
                 }
             }
@@ -468,6 +481,8 @@ impl Viewer {
             Action::Disable => ("disabling the drives", Order::Tell(Command::Disable)),
             Action::Hold => ("holding", Order::Hold),
             Action::Resume => ("resuming", Order::Resume),
+            // A robot on its way to the place for changing the pen stops, too.
+            Action::Cancel if self.console.end_in_pause() && !self.console.is_moving() => return,
             Action::Cancel => ("cancelling", Order::Cancel),
             Action::Acknowledge => ("acknowledging the fault", Order::Tell(Command::Acknowledge)),
             Action::Pen { down } => {
@@ -488,12 +503,6 @@ impl Viewer {
     fn start(&self, heard: Ticket, job: u64) {
         if !self.console.draw(heard, job) {
             self.refuse("another drawing is active, or this one is no longer in the queue");
-        }
-    }
-
-    fn enqueue(&self, preparation: u64) {
-        if let Err(why) = self.console.enqueue(preparation) {
-            self.refuse(why);
         }
     }
 

@@ -21,6 +21,20 @@ pub struct Prepared {
     pub photograph: Option<(RgbImage, [f64; 4])>,
     /// The path in the robot's frame, every vertex admitted.
     pub path: Vec<Vertex>,
+    /// Layers in the order of drawing: the name, and the number of the path's vertices up to the layer's end. Empty for
+    /// a path in the robot's frame.
+    pub layers: Vec<(String, usize)>,
+}
+
+/// Layers of a path: the name, and the number of vertices up to the layer's end.
+fn layers_of(composed: &Composed) -> Vec<(String, usize)> {
+    let mut strokes = 0;
+    let ends = composed.parts.iter().map(|(layer, drawing)| {
+        strokes += drawing.strokes.len();
+        let end = (composed.path).partition_point(|vertex| (vertex.stroke as usize) < strokes);
+        (layer.name.clone(), end)
+    });
+    ends.collect()
 }
 
 /// A stroke that would not be drawn.
@@ -54,6 +68,7 @@ pub fn prepare_with(file: &Path, config: &Config, options: &SourceArguments) -> 
         ));
     }
     Ok(Prepared {
+        layers: layers_of(&composed),
         photograph: composed.photograph,
         path: composed.path,
     })
