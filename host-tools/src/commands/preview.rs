@@ -5,10 +5,12 @@ use crate::drawing::preparation::compose::{in_sequence, unusable};
 use crate::drawing::preparation::prepare::{compose, refused};
 use crate::drawing::preparation::preview::Preview;
 use crate::drawing::preparation::source::SourceArguments;
-use crate::drawing::{PreviewScene, from_path};
+use crate::drawing::preparation::stages::stages;
+use crate::drawing::{DrawingError, Input, PreviewScene, from_path, load};
 use crate::error::{ProgramError, code};
 use crate::output_file::{refuse_input, write_bytes, write_text};
 use crate::terminal::counted;
+use etherpen::config::Config;
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
 
@@ -16,7 +18,8 @@ use std::path::{Path, PathBuf};
 ///
 /// The picture shows the sheet and the work area's border, the strokes coloured in the order of drawing (first blue,
 /// last red), travel moves as thin grey lines, and refused strokes in thick red. The time is what the firmware's
-/// planner computes for the path that `draw` would send, from above the first stroke's start.
+/// planner computes for the path that `draw` would send, from above the first stroke's start. With --debug the picture
+/// shows the stages from a photograph to its lines instead.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     /// Photograph (PNG, JPEG, WebP), vectors (SVG, G-code, HPGL) or CSV; - reads it from standard input.
@@ -24,6 +27,10 @@ pub struct Arguments {
     /// Picture to write; the file name selects SVG or PNG.
     #[arg(short, long, value_name = "OUT.svg|png")]
     out: PathBuf,
+    /// Show what is found in a photograph instead of its strokes: exposure and contrast evened, faces and landmarks, weights
+    /// of focus and background, edges, tone, directions; OUT is a PNG.
+    #[arg(long)]
+    debug: bool,
     /// Print strokes, lengths, lifts, time and refusals as JSON on stdout.
     #[arg(long)]
     json: bool,
@@ -54,6 +61,11 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
             ));
         }
     };
+    if arguments.debug && !is_png {
+        let shown = arguments.out.display();
+        let text = format!("{shown}: --debug makes a PNG; give it a name that ends in .png");
+        return Err(ProgramError::new(code::USAGE, text));
+    }
     refuse_input(
         &arguments.out,
         &arguments.source.inputs(&arguments.file, arguments.config.path()),
@@ -80,7 +92,9 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
             config.work_area.radius_mm,
         ),
     };
-    if is_png {
+    if arguments.debug {
+        write_bytes(&arguments.out, &stages_of(arguments, &config)?)?;
+    } else if is_png {
         let png = scene
             .png(PX_PER_MM)
             .map_err(|cause| ProgramError::failed("the picture cannot be made", cause))?;
@@ -102,6 +116,15 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
             Err(unusable(&arguments.file, &text))
         }
     }
+}
+
+/// The stages of the photograph, a PNG.
+fn stages_of(arguments: &Arguments, config: &Config) -> Result<Vec<u8>, ProgramError> {
+    let refused = |cause: DrawingError| unusable(&arguments.file, &cause);
+    let Input::Photograph(picture) = load(&arguments.file).map_err(refused)? else {
+        return Err(refused(DrawingError::NoPhotograph));
+    };
+    stages(picture, config, &arguments.source).map_err(refused)
 }
 
 fn show(answer: &Preview, out: &Path) {

@@ -174,7 +174,7 @@ fn rainbow(share: f64) -> [u8; 3] {
 }
 
 /// Draws an antialiased line into a picture.
-fn paint(picture: &mut RgbImage, points: &[Point], width: f64, colour: [u8; 3]) {
+pub(super) fn paint(picture: &mut RgbImage, points: &[Point], width: f64, colour: [u8; 3]) {
     let (columns, rows) = (f64::from(picture.width()), f64::from(picture.height()));
     let reach = 0.5 * width + 1.0;
     for pair in points.windows(2) {

@@ -16,10 +16,12 @@ mod fill;
 mod frame;
 mod graded;
 mod lines;
+mod panels;
 mod study;
 
 use frame::Frame;
 pub(crate) use graded::vectorize_coarser;
+pub(crate) use panels::panels;
 use study::Study;
 
 /// Mean speeds and times of the robot for the estimate.

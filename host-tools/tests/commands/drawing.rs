@@ -93,6 +93,36 @@ fn the_order_costs_less_and_keeps_scale_and_ink() {
 }
 
 #[test]
+fn a_debug_preview_shows_the_stages_of_a_photograph_and_refuses_anything_else() {
+    let folder = Folder::new();
+    let debug = |file: &Path, out: &str| {
+        let mut command = etherpen(&folder);
+        run(command
+            .args(["preview", "--debug", "--json"])
+            .arg(file)
+            .arg("-o")
+            .arg(folder.join(out)))
+    };
+    let photograph = workspace().join("samples/astronaut.png");
+    let (status, stdout, stderr) = debug(&photograph, "stages.png");
+    assert_eq!(status, Some(0), "{stderr}");
+    assert!(json(&stdout)["strokes"].as_u64() > Some(100), "{stdout}");
+    let picture = image::open(folder.join("stages.png")).expect("a PNG").into_rgb8();
+    // Three panels in a row, three rows, each above its name.
+    assert_eq!(picture.dimensions(), (3 * 740 + 20, 3 * 772 + 20));
+    // The landmarks of the face that is in this photograph, in their colour.
+    let landmarks = picture.pixels().filter(|pixel| pixel.0 == [240, 180, 0]).count();
+    assert!(landmarks > 20, "{landmarks} pixels");
+    let (status, _, stderr) = debug(&photograph, "stages.svg");
+    assert_eq!(status, Some(i32::from(code::USAGE)), "{stderr}");
+    assert!(stderr.contains(".png"), "{stderr}");
+    let (status, _, stderr) = debug(&strokes(), "strokes.png");
+    assert_eq!(status, Some(i32::from(code::INPUT)), "{stderr}");
+    assert!(stderr.contains("a photograph"), "{stderr}");
+    assert!(!folder.join("strokes.png").exists());
+}
+
+#[test]
 fn a_preview_counts_shows_and_names_what_is_refused() {
     let folder = Folder::new();
     for out in ["preview.svg", "preview.png"] {

@@ -138,16 +138,9 @@ pub(crate) fn from_photograph(
     config: &Config,
     options: &SourceArguments,
 ) -> Result<FromPhotograph, DrawingError> {
-    let picture = match options.quarters().ok_or(DrawingError::BadRotation)? {
-        0 => picture,
-        1 => imageops::rotate90(&picture),
-        2 => imageops::rotate180(&picture),
-        _ => imageops::rotate270(&picture),
-    };
     let source = options;
     let options = source.vectorize_options(config);
-    check_size(picture.width(), picture.height())?;
-    let (picture, subject, remarks) = part_of(picture, source.crop(), &options)?;
+    let (picture, subject, remarks) = part_of(turned(picture, source)?, source.crop(), &options)?;
     let place_mm = options.picture_mm(picture.width(), picture.height())?;
     let timed = match source.time_budget_s() {
         None => None,
@@ -168,8 +161,20 @@ pub(crate) fn from_photograph(
     })
 }
 
+/// The photograph rotated as requested, if its size can be used.
+pub(super) fn turned(picture: RgbImage, options: &SourceArguments) -> Result<RgbImage, DrawingError> {
+    let picture = match options.quarters().ok_or(DrawingError::BadRotation)? {
+        0 => picture,
+        1 => imageops::rotate90(&picture),
+        2 => imageops::rotate180(&picture),
+        _ => imageops::rotate270(&picture),
+    };
+    check_size(picture.width(), picture.height())?;
+    Ok(picture)
+}
+
 /// The part of a photograph that is drawn, its subject, and remarks for the person who asked for it.
-fn part_of(
+pub(super) fn part_of(
     picture: RgbImage,
     crop: Crop,
     options: &VectorizeOptions,

@@ -30,18 +30,8 @@ const KEPT_MIN: f32 = 0.02;
 impl Study {
     /// Edges and dark lines, the most important first, as many as the budget allows.
     pub(super) fn lines(&self, options: &VectorizeOptions) -> Vec<Edge> {
-        let sigma = |pens: f64| (pens * self.pen) as f32;
-        let radius = self.faces.iter().map(|face| face.radius).fold(0.0, f64::max);
-        let half_width = |pens: f64, radii: f64| (pens * self.pen).max(radii * radius) as f32;
-        let flow = Flow::of(&self.calm, sigma(1.2), 0.0, 1e-4);
-        let light = self.with_contrast_in_faces();
-        let fine = edges::line_strength(&light, &flow, half_width(FINE_PENS, FINE_FACE));
-        let coarse = edges::line_strength(&light, &flow, half_width(COARSE_PENS, COARSE_FACE));
-        let mixed = coarse.mixed(
-            &fine.zip(&coarse, |fine, coarse| fine.max(COARSE_IN_FACE * coarse)),
-            &self.focus,
-        );
-        let texture = mixed.blurred(sigma(8.0));
+        let (mixed, flow) = self.line_strength(&self.with_contrast_in_faces());
+        let texture = mixed.blurred((8.0 * self.pen) as f32);
         let strictness = 2.0_f32.powf(1.0 - 2.0 * options.detail as f32);
         let high = self.focus.zip(&texture, |face, busy| {
             STRENGTH - 0.015 * face + 0.8 * (1.0 - face) * busy
@@ -70,8 +60,22 @@ impl Study {
             .collect()
     }
 
+    /// Strength of dark lines in the light, fine ones first in faces, and the flow along them.
+    pub(super) fn line_strength(&self, light: &Plane) -> (Plane, Flow) {
+        let radius = self.faces.iter().map(|face| face.radius).fold(0.0, f64::max);
+        let half_width = |pens: f64, radii: f64| (pens * self.pen).max(radii * radius) as f32;
+        let flow = Flow::of(&self.calm, (1.2 * self.pen) as f32, 0.0, 1e-4);
+        let fine = edges::line_strength(light, &flow, half_width(FINE_PENS, FINE_FACE));
+        let coarse = edges::line_strength(light, &flow, half_width(COARSE_PENS, COARSE_FACE));
+        let mixed = coarse.mixed(
+            &fine.zip(&coarse, |fine, coarse| fine.max(COARSE_IN_FACE * coarse)),
+            &self.focus,
+        );
+        (mixed, flow)
+    }
+
     /// The light with the same range in every face.
-    fn with_contrast_in_faces(&self) -> Plane {
+    pub(super) fn with_contrast_in_faces(&self) -> Plane {
         let mut inside: Vec<f32> = (self.calm.values().iter().zip(self.ovals.values()))
             .filter(|(_, oval)| **oval > 0.7)
             .map(|(value, _)| *value)
