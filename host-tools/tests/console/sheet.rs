@@ -202,7 +202,9 @@ fn touches_end_with_the_reference_in_which_they_were_taken() {
     rig.cell().inject(Injection::Restart).expect("it is simulated");
     touches(viewer, 0);
     viewer.until_told("the touches of the sheet are forgotten");
-    viewer.enable();
+    viewer.mode("DrivesOff");
+    viewer.command(json!({"do": "reference"}));
+    viewer.state("status", |status| status["referenced"] == true);
     assert_eq!(viewer.sections["sheet"]["touches"], 0);
 }
 

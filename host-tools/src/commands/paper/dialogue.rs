@@ -30,6 +30,8 @@ const LOOK: Duration = Duration::from_millis(50);
 /// Time between two looks at a pen that has to stand still, and the farthest it may go meanwhile, mm.
 const STILL: Duration = Duration::from_millis(60);
 const STILL_MM: f64 = 0.05;
+/// Distance from the border of the work area to which the pen is raised, mm: more than a measured height is off.
+const BORDER_MM: f64 = 0.1;
 /// The lines of the dialogue.
 const WORDS: &str = "z -0.1: down by so many mm    x 10, y -5: sideways, raised first    Enter: the pen touches here\n\
                      undo: forget the last touch    done: compute the plane    Ctrl-C: end without it";
@@ -283,9 +285,7 @@ impl<'a> Dialogue<'a> {
         let lift_mm = self.config.paper.pen_lift_mm;
         let height = self.height.filter(|_| distance_mm > 0.0);
         if let Some(z_mm) = height.and_then(|height| height.before_step(lift_mm, distance_mm)) {
-            let above = Position { z_mm, ..from };
-            let highest_mm = self.area.nearest(&above).map_or(z_mm, |near| near.z_mm);
-            let wanted_mm = z_mm.min(highest_mm);
+            let wanted_mm = reached_mm(&self.area, Position { z_mm, ..from });
             if wanted_mm > from.z_mm + STILL_MM {
                 from = self.order(Position {
                     z_mm: wanted_mm,
@@ -307,6 +307,15 @@ impl<'a> Dialogue<'a> {
         let order = Order::Motion(Motion::Move(to));
         self.own(|own| access::carry_out(&self.port, own, order))?;
         self.position()
+    }
+}
+
+/// The height of a place, or the highest one below it that the machine reaches, mm. Below the border itself, so that the
+/// measured height is inside too.
+fn reached_mm(area: &WorkArea, above: Position) -> f64 {
+    match area.nearest(&above) {
+        Some(near) if near.z_mm < above.z_mm => near.z_mm - BORDER_MM,
+        _ => above.z_mm,
     }
 }
 
@@ -382,5 +391,20 @@ mod tests {
         assert_eq!(height.before_step(3.0, 0.0), Some(-25.0));
         height.see(-27.4);
         assert_eq!(height.before_step(3.0, 0.0), None);
+    }
+
+    #[test]
+    fn a_pen_is_raised_no_higher_than_just_below_the_border_of_the_work_area() {
+        let config = crate::settings::machines::MACHINES[1].load().unwrap();
+        let area = WorkArea::new(&config.motion_settings()).unwrap();
+        let at = |z_mm: f64| Position {
+            x_mm: 100.0,
+            y_mm: 100.0,
+            z_mm,
+        };
+        assert_eq!(reached_mm(&area, at(-5.0)), -5.0);
+        let raised_mm = reached_mm(&area, at(12.0));
+        assert_eq!(raised_mm, config.work_area.z_high_mm - BORDER_MM);
+        assert!(area.contains(&at(raised_mm + STILL_MM)));
     }
 }
