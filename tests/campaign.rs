@@ -33,3 +33,15 @@ fn what_was_ever_found_is_not_found_again() {
     println!("{} test cases", cases.len());
     assert!(failed.is_empty(), "{failed:#?}");
 }
+
+#[test]
+fn every_test_case_stands_in_the_documentation() {
+    let documented = include_str!("../docs/campaign.md");
+    let name = |file: &PathBuf| file.file_name().and_then(|name| name.to_str()).map(str::to_owned);
+    let missing: Vec<String> = cases()
+        .iter()
+        .filter_map(name)
+        .filter(|name| !documented.contains(&format!("`{name}`")))
+        .collect();
+    assert!(missing.is_empty(), "docs/campaign.md does not list {missing:?}");
+}

@@ -1,7 +1,7 @@
 //! Reads configuration files, and changes single values in them without changing anything else.
 //!
 //! Comments, order and all other values are kept. A file that does not exist is created from the sample that lists all
-//! values; a file without axes gets them.
+//! values; a file without axes gets them when a value of an axis is stored.
 //!
 //! Invariant: the written file is a valid configuration within its bounds, and reads as before but for the stored values;
 //! the file is replaced as a whole or not at all.
@@ -213,35 +213,42 @@ impl Settings {
     /// # Errors
     /// [`SettingsError::Syntax`].
     pub fn parse(text: &str) -> Result<Self, SettingsError> {
-        let mut document: DocumentMut = text.parse().map_err(SettingsError::Syntax)?;
+        let document: DocumentMut = text.parse().map_err(SettingsError::Syntax)?;
         let before = reading::configuration(text).ok();
-        let is_of_sample = before
+        Ok(Self { document, before })
+    }
+
+    /// Writes the axes into a file that has none.
+    fn add_axes(&mut self) -> Result<(), SettingsError> {
+        let is_of_sample = self
+            .before
             .as_ref()
             .is_none_or(|config| config.geometry.kind() == Kind::default());
-        match document.get("axes") {
+        match self.document.get("axes") {
             Some(_) => {}
             // What the axes share stays where it is.
-            None if document.contains_key(reading::SHARED) => {
+            None if self.document.contains_key(reading::SHARED) => {
                 let axes: ArrayOfTables = (0..AXES).map(|_| Table::new()).collect();
-                document.insert("axes", Item::ArrayOfTables(axes));
+                self.document.insert("axes", Item::ArrayOfTables(axes));
             }
             None if is_of_sample => {
                 let mut sample: DocumentMut = SAMPLE.parse().map_err(SettingsError::Syntax)?;
                 if let Some(axes) = sample.remove("axes") {
-                    document.insert("axes", axes);
+                    self.document.insert("axes", axes);
                 }
             }
             None => {}
         }
-        Ok(Self { document, before })
+        Ok(())
     }
 
     /// Sets one value of an axis, from 0.
     ///
     /// # Errors
-    /// [`SettingsError::Place`].
+    /// [`SettingsError::Place`] and [`SettingsError::Syntax`].
     pub fn set_axis(&mut self, axis: usize, field: &'static str, value: impl Into<Value>) -> Result<(), SettingsError> {
         let place = SettingsError::Place { axis, field };
+        self.add_axes()?;
         let item = match self.document.get_mut("axes") {
             Some(Item::ArrayOfTables(tables)) => tables
                 .get_mut(axis)
@@ -404,10 +411,13 @@ mod tests {
     }
 
     #[test]
-    fn a_file_without_axes_gets_all_of_them() {
-        let mut settings = Settings::parse("# mine\n[motion]\nspeed_mm_s = 150.0\n").unwrap();
+    fn a_file_without_axes_gets_all_of_them_when_one_of_their_values_is_stored() {
+        let text = "# mine\n[motion]\nspeed_mm_s = 150.0\n";
+        let mut settings = Settings::parse(text).unwrap();
         let mut config = Config::default();
         config.motion.speed_mm_s = 150.0;
+        assert_eq!(settings.store_axes(&config).unwrap(), 0);
+        assert_eq!(settings.document.to_string(), text);
         config.axes[0].feed_forward_gain = 1.01;
         assert_eq!(settings.store_axes(&config).unwrap(), 1);
         assert_eq!(settings.config().unwrap(), config);

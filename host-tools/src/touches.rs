@@ -1,7 +1,7 @@
 //! Height and tilt of a sheet from places where the pen touched it.
 //!
-//! The plane is the one with the least squares of its distances in z. Places that say little about the tilt are refused: a
-//! touch is good to a tenth of a millimetre, and over [`APART_MIN_MM`] that is a tilt of less than a third of a degree.
+//! The plane is the one with the least squares of its distances in z. A touch is good to [`TOUCH_ERROR_MM`]; places from which
+//! that gives a corner of the sheet by more than [`CORNER_ERROR_MAX_MM`] are refused.
 
 use etherpen::config::{Paper, Plane};
 
@@ -12,6 +12,13 @@ pub type Touch = [f64; 3];
 pub const TOUCHES_MIN: usize = 3;
 /// Shortest distance between two touches in plan view, and of the touches from a line, mm.
 pub const APART_MIN_MM: f64 = 20.0;
+
+/// Standard error of a touch in z, mm: the finest step of an operator.
+pub const TOUCH_ERROR_MM: f64 = 0.1;
+/// Largest standard error of the plane at a corner of the sheet, mm: as much as a pen's spring gives way.
+pub const CORNER_ERROR_MAX_MM: f64 = 0.3;
+/// Largest distance of one of four or more touches from the plane that is stored, mm.
+pub const RESIDUAL_MAX_MM: f64 = 0.5;
 
 /// How far below its first touch the pen usually draws, mm.
 pub const PRESS_MM: f64 = 0.3;
@@ -41,6 +48,22 @@ pub enum TouchError {
         /// Its tilt, degrees.
         tilt_deg: f64,
     },
+    /// They are too far from a corner of the sheet to tell its height.
+    Uncertain {
+        /// The corner, x and y in the robot's frame, mm.
+        corner_mm: [f64; 2],
+        /// Standard error of its height, mm.
+        error_mm: f64,
+    },
+    /// One is far off the plane through all of them.
+    Off {
+        /// Its number, from 1.
+        touch: usize,
+        /// Its place, x and y, mm.
+        place_mm: [f64; 2],
+        /// Its distance from the plane in z, mm.
+        residual_mm: f64,
+    },
 }
 
 impl std::fmt::Display for TouchError {
@@ -65,9 +88,26 @@ impl std::fmt::Display for TouchError {
             ),
             Self::Steep { tilt_deg } => write!(
                 f,
-                "the touches give a tilt of {tilt_deg:.1} degrees, and a sheet may rise by {} mm over 100 mm: was one of \
-                 them beside the sheet, or before the pen touched?",
+                "the touches give a tilt of {tilt_deg:.1} degrees, and a sheet may rise by {} mm over 100 mm of x or of y: was \
+                 one of them beside the sheet, or before the pen touched?",
                 100.0 * Paper::SLOPE_MAX
+            ),
+            Self::Uncertain {
+                corner_mm: [x, y],
+                error_mm,
+            } => write!(
+                f,
+                "the touches give the height of the corner at x {x:.0}, y {y:.0} mm to {error_mm:.1} mm only, and \
+                 {CORNER_ERROR_MAX_MM} mm are needed: touch the sheet nearer to that corner"
+            ),
+            Self::Off {
+                touch,
+                place_mm: [x, y],
+                residual_mm,
+            } => write!(
+                f,
+                "touch {touch} at x {x:.0}, y {y:.0} mm is {residual_mm:.2} mm off the plane, and at most {RESIDUAL_MAX_MM} mm \
+                 can be stored: touch there again, or smooth the sheet"
             ),
         }
     }
@@ -108,14 +148,8 @@ pub fn fit(touches: &[Touch]) -> Result<Fit, TouchError> {
         return Err(TouchError::Few { touches: touches.len() });
     }
     check_distances(touches)?;
-    let count = touches.len() as f64;
-    let mean = [0, 1, 2].map(|axis| touches.iter().map(|touch| touch[axis]).sum::<f64>() / count);
-    let sum = |first: usize, second: usize| {
-        let products = touches
-            .iter()
-            .map(|touch| (touch[first] - mean[first]) * (touch[second] - mean[second]));
-        products.sum::<f64>()
-    };
+    let mean = mean_of(touches);
+    let sum = |first: usize, second: usize| moment(touches, mean, first, second);
     let (xx, xy, yy, xz, yz) = (sum(0, 0), sum(0, 1), sum(1, 1), sum(0, 2), sum(1, 2));
     check_width(touches, [xx, xy, yy])?;
     let determinant = xx * yy - xy * xy;
@@ -137,6 +171,81 @@ pub fn fit(touches: &[Touch]) -> Result<Fit, TouchError> {
         residual_mm,
         worst,
     })
+}
+
+fn mean_of(touches: &[Touch]) -> Touch {
+    let count = touches.len() as f64;
+    [0, 1, 2].map(|axis| touches.iter().map(|touch| touch[axis]).sum::<f64>() / count)
+}
+
+/// Sum of the products of two coordinates, each from its mean.
+fn moment(touches: &[Touch], mean: Touch, first: usize, second: usize) -> f64 {
+    let products = touches
+        .iter()
+        .map(|touch| (touch[first] - mean[first]) * (touch[second] - mean[second]));
+    products.sum()
+}
+
+/// Checks that the touches tell the height of every corner of a sheet.
+///
+/// The variance of a plane of least squares at a distance d from the mean of n places is the touches' own, times
+/// 1/n + d' M^-1 d, with M their matrix of second moments.
+///
+/// # Errors
+/// [`TouchError::Uncertain`] with the corner that they tell least about.
+pub fn check_corners(touches: &[Touch], paper: &Paper) -> Result<(), TouchError> {
+    let mean = mean_of(touches);
+    let [xx, xy, yy] = [(0, 0), (0, 1), (1, 1)].map(|(first, second)| moment(touches, mean, first, second));
+    let determinant = xx * yy - xy * xy;
+    let ([x, y], [width, height]) = (paper.centre_mm, paper.size_mm);
+    let corners = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5)];
+    let worst = corners
+        .map(|(across, along)| [x + across * width, y + along * height])
+        .map(|corner_mm| {
+            let (dx, dy) = (corner_mm[0] - mean[0], corner_mm[1] - mean[1]);
+            let away = (dx * dx * yy - 2.0 * dx * dy * xy + dy * dy * xx) / determinant;
+            (corner_mm, TOUCH_ERROR_MM * (1.0 / touches.len() as f64 + away).sqrt())
+        })
+        .into_iter()
+        .fold(None, |worst: Option<([f64; 2], f64)>, found| match worst {
+            Some(worst) if found.1 <= worst.1 => Some(worst),
+            _ => Some(found),
+        });
+    match worst {
+        // Not a number is too much as well.
+        Some((corner_mm, error_mm)) if error_mm.is_nan() || error_mm > CORNER_ERROR_MAX_MM => {
+            Err(TouchError::Uncertain { corner_mm, error_mm })
+        }
+        _ => Ok(()),
+    }
+}
+
+/// Checks that no touch is too far off the plane to be stored. Three touches are always on their plane.
+///
+/// # Errors
+/// [`TouchError::Off`].
+pub fn check_residual(touches: &[Touch], fit: &Fit) -> Result<(), TouchError> {
+    let Some([x, y, _]) = touches.get(fit.worst - 1).filter(|_| touches.len() > TOUCHES_MIN) else {
+        return Ok(());
+    };
+    match fit.residual_mm <= RESIDUAL_MAX_MM {
+        true => Ok(()),
+        false => Err(TouchError::Off {
+            touch: fit.worst,
+            place_mm: [*x, *y],
+            residual_mm: fit.residual_mm,
+        }),
+    }
+}
+
+/// Adds a touch as the last one, in the place of those nearer than [`APART_MIN_MM`] to it; returns the number of the first
+/// one that it replaces, from 1.
+pub fn add(touches: &mut Vec<Touch>, touch: Touch) -> Option<usize> {
+    let is_near = |[x, y, _]: &Touch| (x - touch[0]).hypot(y - touch[1]) < APART_MIN_MM;
+    let replaced = touches.iter().position(is_near).map(|place| place + 1);
+    touches.retain(|other| !is_near(other));
+    touches.push(touch);
+    replaced
 }
 
 fn check_distances(touches: &[Touch]) -> Result<(), TouchError> {
@@ -239,6 +348,72 @@ mod tests {
         assert!(matches!(fit(&steep), Err(TouchError::Steep { tilt_deg }) if (tilt_deg - 6.84).abs() < 0.01));
         let broken = [[0.0, 0.0, f64::NAN], [100.0, 0.0, 0.0], [0.0, 100.0, 0.0]];
         assert!(fit(&broken).is_err() && fit(&[[f64::NAN; 3]; 3]).is_err());
+    }
+
+    #[test]
+    fn touches_that_say_nothing_about_a_corner_are_refused_and_name_it() {
+        let paper = Paper::default();
+        let narrow = on([0.0; 2], &[[-90.0, -90.0], [-66.0, -90.0], [-78.0, -69.0]]);
+        assert!(fit(&narrow).is_ok());
+        let refused = check_corners(&narrow, &paper).unwrap_err();
+        assert!(
+            matches!(refused, TouchError::Uncertain { corner_mm: [100.0, 100.0], error_mm } if error_mm > 1.0),
+            "{refused:?}"
+        );
+        assert!(refused.to_string().contains("x 100, y 100 mm"), "{refused}");
+        assert_eq!(check_corners(&on([0.0; 2], &CORNERS[..3]), &paper), Ok(()));
+        assert_eq!(check_corners(&on([0.0; 2], &CORNERS), &paper), Ok(()));
+    }
+
+    /// The height of a corner from touches with errors of a tenth of a millimetre scatters as the check says.
+    #[test]
+    fn the_error_of_a_corner_is_the_scatter_of_its_height() {
+        let places = [[-60.0, -70.0], [55.0, -40.0], [10.0, 80.0]];
+        let paper = Paper {
+            size_mm: [600.0, 600.0],
+            ..Paper::default()
+        };
+        let refused = check_corners(&on([0.0; 2], &places), &paper).unwrap_err();
+        let TouchError::Uncertain {
+            corner_mm: [x, y],
+            error_mm,
+        } = refused
+        else {
+            panic!("{refused:?}")
+        };
+        // Errors of one touch at a time: their effects add in squares.
+        let squares = (0..3).map(|wrong| {
+            let mut touches = on([0.0; 2], &places);
+            touches[wrong][2] += TOUCH_ERROR_MM;
+            (fit(&touches).unwrap().plane.z_at_mm(x, y) + 850.0).powi(2)
+        });
+        assert!((squares.sum::<f64>().sqrt() - error_mm).abs() < 1.0e-9, "{error_mm}");
+    }
+
+    #[test]
+    fn a_touch_near_another_takes_its_place_and_is_the_last_one() {
+        let mut touches = on([0.0; 2], &CORNERS);
+        assert_eq!(add(&mut touches, [-70.0, -80.0, -849.0]), Some(1));
+        assert_eq!(touches.len(), 4);
+        assert_eq!(touches.last(), Some(&[-70.0, -80.0, -849.0]));
+        assert_eq!(add(&mut touches, [0.0, 0.0, -850.0]), None);
+        assert_eq!(touches.len(), 5);
+    }
+
+    #[test]
+    fn a_touch_far_off_the_plane_of_four_or_more_is_named() {
+        let mut touches = on([0.01, 0.0], &CORNERS);
+        touches.push([0.0, 0.0, -848.5]);
+        let found = fit(&touches).unwrap();
+        let refused = check_residual(&touches, &found).unwrap_err();
+        assert!(matches!(refused, TouchError::Off { touch: 5, .. }), "{refused:?}");
+        assert!(
+            refused.to_string().starts_with("touch 5 at x 0, y 0 mm is 1."),
+            "{refused}"
+        );
+        touches.truncate(3);
+        touches[0][2] += 2.0;
+        assert_eq!(check_residual(&touches, &fit(&touches).unwrap()), Ok(()));
     }
 
     #[test]

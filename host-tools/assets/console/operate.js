@@ -208,7 +208,7 @@ function sheet(link) {
     const { sheet: found, status } = link.state;
     $("sheet").hidden = !found?.follows;
     text($("sheet-text"), found?.text ?? "");
-    $("touch").disabled = !link.controls || !status?.referenced;
+    $("touch").disabled = !link.controls || !status?.referenced || !["Idle", "DrivesOff", "Fault"].includes(status.mode);
     $("touch-undo").disabled = !link.controls || !found?.touches;
     $("touch-store").disabled = !link.controls || !found?.is_found;
   };

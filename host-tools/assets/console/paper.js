@@ -133,7 +133,7 @@ export function paper(link) {
     if (!pose || !Number.isFinite(pose.measured_mm[0])) return;
     const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
     const [x, y] = [clamp(at.x(pose.measured_mm[0]), 6, screen.width - 6), clamp(at.y(pose.measured_mm[1]), 6, screen.height - 6)];
-    const lowered = pose.measured_mm[2] <= at.sheet.pen_down_z_mm + at.sheet.pen_lift_mm / 2;
+    const lowered = isLowered(at.sheet, pose.measured_mm);
     context.beginPath();
     context.arc(x, y, lowered ? 4.5 : 7, 0, 7);
     context.lineWidth = 2;
@@ -194,4 +194,9 @@ export function paper(link) {
   link.on("robot", repaint);
   facts();
   requestAnimationFrame(draw);
+}
+
+// Whether a tool is nearer to its drawing height than to its lifted height above the sheet, which need not lie level.
+export function isLowered({ centre_mm: [x, y], slope: [alongX, alongY], pen_down_z_mm: down, pen_lift_mm: lift }, tool) {
+  return tool[2] - alongX * (tool[0] - x) - alongY * (tool[1] - y) <= down + lift / 2;
 }

@@ -11,7 +11,7 @@ use crate::machine::{Client, Order, Reply};
 use crate::master::{Master, MasterError};
 use etherpen::config::Config;
 use etherpen::ethercat::diagnostics::{ServiceError, ServiceReply, ServiceRequest, ServiceResult};
-use etherpen_segment::transport::{self, Endpoint};
+use etherpen_segment::transport::{self, Endpoint, TransportError};
 use std::time::{Duration, Instant};
 
 /// Longest time for which a request to a busy bus is repeated.
@@ -24,6 +24,8 @@ const GREETING_MAX_MS: u64 = 5_000;
 const SILENCE_MAX_MS: u64 = 5_000;
 /// Pause before a request to a busy bus is repeated.
 const PAUSE: Duration = Duration::from_millis(100);
+/// Longest wait for a segment that was started together with this program.
+const SEGMENT_MAX: Duration = Duration::from_secs(2);
 
 /// Carries one request to the bus and its answer back.
 trait Carrier {
@@ -56,9 +58,21 @@ impl<C: Carrier> BusAccess for Patient<C> {
 /// # Errors
 /// The transport to the segment cannot be opened.
 pub(crate) fn own_master(endpoint: &Endpoint) -> Result<Box<dyn BusAccess>, ProgramError> {
-    let transport = transport::open(endpoint).map_err(|error| ProgramError::new(code::CONNECTION, error))?;
+    let transport = opened(|| transport::open(endpoint), SEGMENT_MAX);
+    let transport = transport.map_err(|error| ProgramError::new(code::CONNECTION, error))?;
     let master = Master::look(transport).map_err(|error| ProgramError::new(code::FAILED, master_error(&error)))?;
     Ok(Box::new(Patient(master)))
+}
+
+/// Opens the way to a segment, again for a while as long as nobody listens there yet.
+fn opened<T>(mut open: impl FnMut() -> Result<T, TransportError>, longest: Duration) -> Result<T, TransportError> {
+    let until = Instant::now() + longest;
+    loop {
+        match open() {
+            Err(TransportError::Nobody(_)) if Instant::now() < until => std::thread::sleep(PAUSE),
+            opened => return opened,
+        }
+    }
 }
 
 impl Carrier for Master {
@@ -216,5 +230,35 @@ fn master_error(error: &MasterError) -> String {
                 waited.as_secs_f64()
             )
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_segment_that_does_not_listen_yet_is_waited_for_and_nothing_else() {
+        let nobody = || TransportError::Nobody("bus.sock".into());
+        let mut calls = 0;
+        let mut third = || {
+            calls += 1;
+            if calls < 3 { Err(nobody()) } else { Ok(calls) }
+        };
+        assert_eq!(opened(&mut third, BUSY_MAX).unwrap(), 3);
+        assert!(matches!(
+            opened(|| Err::<(), _>(nobody()), Duration::ZERO),
+            Err(TransportError::Nobody(_))
+        ));
+        let mut calls = 0;
+        let other = opened(
+            || {
+                calls += 1;
+                Err::<(), _>(TransportError::NoSocket("bus.sock".into()))
+            },
+            BUSY_MAX,
+        );
+        assert!(matches!(other, Err(TransportError::NoSocket(_))));
+        assert_eq!(calls, 1);
     }
 }

@@ -172,6 +172,7 @@ fn take(console: &Console, news: News) {
                 }
                 hub.take_status(&status);
             });
+            console.keep_touches(&status);
             if status.mode == Mode::Startup && console.event_pump.has_to_prepare() {
                 let answer = console.machine.order(Order::Prepare(Ready::Bus));
                 *lock(&console.event_pump.preparing) = Some((Instant::now(), answer));

@@ -199,7 +199,7 @@ impl Console {
             ..PreparationView::default()
         };
         hub.say(Topic::Preparation, &idle);
-        hub.say(Topic::Sheet, &sheet::view(&config, &[]));
+        hub.say(Topic::Sheet, &sheet::configured(&config));
         let console = Arc::new(Self {
             config,
             token,

@@ -20,12 +20,12 @@ const STATE_MAX: Duration = Duration::from_secs(10);
 /// Longest wait for a sample of a machine whose status is known.
 const SAMPLE_MAX: Duration = Duration::from_secs(1);
 
-/// What this program needs to open a port itself. Unused if another program has the port.
+/// What this program needs to open a port itself, and to be interrupted.
 #[derive(Clone, Copy)]
 pub(crate) struct OwnPort<'a> {
     /// Reads the configuration.
     pub(crate) config: &'a (dyn Fn() -> Result<Config, ProgramError> + Sync),
-    /// Starts watching for an interrupt, which cancels the order.
+    /// Starts watching for an interrupt, which cancels the order, and a motion also through another program.
     pub(crate) interrupted: &'a (dyn Fn() -> Result<Arc<AtomicBool>, ProgramError> + Sync),
     /// Tells the operator what the machine is waiting for.
     pub(crate) tell: &'a (dyn Fn(&str) + Sync),
@@ -164,7 +164,7 @@ impl MachineAccess {
         progress: &mut Progress,
     ) -> Result<Order, ProgramError> {
         let (order, answer) = match self {
-            Self::Through(client) => (order.clone(), wait_through(client, order, port, progress)),
+            Self::Through(client) => (order.clone(), wait_through(client, order, port, own, progress)?),
             Self::Own(machine) => {
                 let order = without_drawing(order)?;
                 let interrupted = (own.interrupted)()?;
@@ -215,14 +215,26 @@ fn without_drawing(order: Order) -> Result<Order, ProgramError> {
     })
 }
 
-/// Sends an order to the program that has the port and waits for its answer. A second connection shows meanwhile what
-/// the machine waits for.
-fn wait_through(client: &mut Client, order: Order, port: &PortName, progress: &mut Progress) -> Answer {
-    // Only these bring slaves up; every other order ends soon, or has its own signs of life.
-    if !matches!(order, Order::Settle(Told::Acknowledge) | Order::Prepare(_)) {
-        return client.carry_out(order);
+/// Sends an order to the program that has the port and waits for its answer; an interrupt cancels a motion. A second
+/// connection shows meanwhile what the machine waits for.
+///
+/// # Errors
+/// Signals cannot be watched for.
+fn wait_through(
+    client: &mut Client,
+    order: Order,
+    port: &PortName,
+    own: OwnPort,
+    progress: &mut Progress,
+) -> Result<Answer, ProgramError> {
+    if matches!(order, Order::Motion(_)) {
+        return Ok(client.carry_out_unless(order, &*(own.interrupted)()?));
     }
-    std::thread::scope(|scope| {
+    // Only these bring slaves up; every other order ends soon.
+    if !matches!(order, Order::Settle(Told::Acknowledge) | Order::Prepare(_)) {
+        return Ok(client.carry_out(order));
+    }
+    let answer = std::thread::scope(|scope| {
         let answer = scope.spawn(|| client.carry_out(order));
         let mut watching = None;
         while !answer.is_finished() {
@@ -238,7 +250,8 @@ fn wait_through(client: &mut Client, order: Order, port: &PortName, progress: &m
             }
         }
         answer.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
-    })
+    });
+    Ok(answer)
 }
 
 /// Sends an order and waits for its answer; an interrupt cancels it.

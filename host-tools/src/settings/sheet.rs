@@ -1,9 +1,9 @@
 //! Where the sheet lies: whether a machine can follow it, and its values in the file.
 
 use super::{Settings, SettingsError, checking};
-use crate::error::ProgramError;
+use crate::error::{ProgramError, code};
 use crate::link::text;
-use crate::touches::{Fit, Touch, fit, lying};
+use crate::touches::{Fit, Touch, check_corners, fit, lying};
 use etherpen::config::{Config, Paper, PenLiftKind};
 use etherpen::motion::WorkArea;
 use etherpen::robots::MAIN_AXES;
@@ -62,9 +62,10 @@ pub fn follows(config: &Config) -> Result<(), String> {
 /// touch.
 ///
 /// # Errors
-/// The touches give no plane, or the machine does not reach the sheet there.
+/// The touches give no plane, or say too little about a corner of the sheet, or the machine does not reach the sheet there.
 pub fn found(config: &Config, touches: &[Touch], press_mm: f64) -> Result<(Paper, Fit), String> {
     let found = fit(touches).map_err(|cause| cause.to_string())?;
+    check_corners(touches, &config.paper).map_err(|cause| cause.to_string())?;
     let paper = lying(&config.paper, &found.plane, press_mm);
     let there = Config {
         paper,
@@ -79,13 +80,25 @@ pub fn found(config: &Config, touches: &[Touch], press_mm: f64) -> Result<(Paper
     }
 }
 
-/// Stores height and slope of a sheet in a configuration file; returns the number of changed values.
+/// Stores height and slope of a sheet in a configuration file; returns the number of changed values. `known` is the
+/// configuration with which they were found, and `reader` what read it from the file.
 ///
 /// # Errors
-/// The file cannot be changed, or would not be a valid configuration.
-pub fn store_sheet(path: &Path, paper: &Paper) -> Result<usize, ProgramError> {
+/// The file says something else than `known` about the rest of the machine, cannot be changed, or would not be a valid
+/// configuration.
+pub fn store_sheet(path: &Path, known: &Config, paper: &Paper, reader: &str) -> Result<usize, ProgramError> {
     let failed = |cause| ProgramError::failed(format!("{} cannot be changed", path.display()), cause);
     let mut settings = Settings::open(path).map_err(failed)?;
+    let mut now = settings.config().map_err(failed)?;
+    (now.paper.pen_down_z_mm, now.paper.slope) = (known.paper.pen_down_z_mm, known.paper.slope);
+    if now != *known {
+        let text = format!(
+            "{} has changed since {reader} was started, so the sheet's place may be wrong for it: start {reader} again, then \
+             touch the sheet anew",
+            path.display()
+        );
+        return Err(ProgramError::new(code::FAILED, text));
+    }
     let changed = settings.store_sheet(paper).map_err(failed)?;
     settings.save(path).map_err(failed)?;
     Ok(changed)
@@ -126,12 +139,56 @@ mod tests {
             assert_eq!((paper.pen_down_z_mm, paper.slope), (-29.125, wanted.slope));
             assert_eq!(settings.store_sheet(&wanted).unwrap(), 0);
         }
-        let mut settings = Settings::parse("").unwrap();
         let paper = Paper {
             pen_down_z_mm: -851.0,
             ..Paper::default()
         };
-        assert_eq!(settings.store_sheet(&paper).unwrap(), 1);
-        assert_eq!(settings.config().unwrap().paper, paper);
+        for (text, expected) in [
+            ("", "[paper]\npen_down_z_mm = -851.0\n"),
+            (
+                "# mine\n[paper]\npen_down_z_mm = -850.0  # the table\n",
+                "# mine\n[paper]\npen_down_z_mm = -851.0  # the table\n",
+            ),
+            (
+                "[axis_defaults]\ngear = 14.0\n\n[paper]\n",
+                "[axis_defaults]\ngear = 14.0\n\n[paper]\npen_down_z_mm = -851.0\n",
+            ),
+        ] {
+            let mut settings = Settings::parse(text).unwrap();
+            assert_eq!(settings.store_sheet(&paper).unwrap(), 1);
+            assert_eq!(settings.document.to_string(), expected);
+            assert_eq!(settings.config().unwrap().paper, paper);
+        }
+    }
+
+    #[test]
+    fn a_file_that_says_something_else_than_at_the_start_is_not_changed() {
+        let path = std::env::temp_dir().join(format!("etherpen-sheet-{}.toml", std::process::id()));
+        let paper = Paper {
+            slope: [0.01, 0.0],
+            ..Paper::default()
+        };
+        let store = |text: &str| {
+            std::fs::write(&path, text).unwrap();
+            let stored = store_sheet(&path, &Config::default(), &paper, "the console");
+            (stored, std::fs::read_to_string(&path).unwrap())
+        };
+        for other in [
+            "[paper]\ncentre_mm = [50.0, 0.0]\n",
+            "[[axes]]\nsync_increments = 77\n[[axes]]\n[[axes]]\n[[axes]]\n",
+        ] {
+            let (refused, text) = store(other);
+            let refused = refused.unwrap_err();
+            assert!(
+                refused.message.contains("has changed since the console was started"),
+                "{}",
+                refused.message
+            );
+            assert_eq!(text, other);
+        }
+        let (stored, text) = store("[paper]\npen_down_z_mm = -849.0\n");
+        std::fs::remove_file(&path).unwrap();
+        assert_eq!(stored.unwrap(), 2);
+        assert_eq!(text, "[paper]\npen_down_z_mm = -850.0\nslope = [0.01, 0.0]\n");
     }
 }

@@ -5,7 +5,7 @@ use etherpen::config::Config;
 use host_tools::cell::CellOptions;
 use host_tools::console::virtual_cell::{Firmware, VirtualCell};
 use host_tools::error::code;
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::Signal;
 
 /// Speed below which a joint counts as at rest, rad/s; at 20 mm/s the fastest has 0.04.
 const STANDS_RAD_S: f64 = 5e-3;
@@ -30,11 +30,6 @@ impl Rig {
         let speeds = self.cell.state().velocities.0;
         speeds.iter().any(|speed| speed.abs() > STANDS_RAD_S)
     }
-}
-
-fn signal(program: &Running, signal: Signal) {
-    let pid = Pid::from_raw(program.id() as i32).expect("a process has a number");
-    kill_process(pid, signal).expect("it is a child of this test");
 }
 
 /// Whether a process was stopped by a signal, by its line in /proc.
@@ -64,7 +59,7 @@ fn a_client_that_is_stopped_while_it_jogs_through_a_console_stops_the_robot() {
         rig.cell.state().time_ms > begun_ms + 500
     });
     assert!(rig.moves(), "the jog goes on while its client lives");
-    signal(&jog, Signal::STOP);
+    jog.signal(Signal::STOP);
     wait_until("a client that stands", || is_stopped(&jog));
     let stopped_ms = rig.cell.state().time_ms;
     wait_until("motors that stand", || !rig.moves());
@@ -75,7 +70,7 @@ fn a_client_that_is_stopped_while_it_jogs_through_a_console_stops_the_robot() {
     wait_until("two more seconds", || {
         rig.cell.state().time_ms > stopped_ms + took_ms + 2_000
     });
-    signal(&jog, Signal::CONT);
+    jog.signal(Signal::CONT);
     assert_eq!(jog.end().code(), Some(i32::from(code::FAILED)), "{}", jog.stderr());
     assert!(jog.stderr().contains("fell silent"), "{}", jog.stderr());
     let now = rig.cell.state().joints;

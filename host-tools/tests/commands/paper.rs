@@ -1,8 +1,9 @@
 //! `etherpen paper`: a sheet that does not lie level, found by touches and drawn on, judged by the ink.
 
-use crate::program::{Folder, Running, etherpen, run};
+use crate::program::{Folder, Running, etherpen, run, wait_until};
 use etherpen::config::Config;
-use host_tools::cell::{Cell, CellOptions, Physics, SheetPlace};
+use etherpen::robots::Position;
+use host_tools::cell::{Cell, CellOptions, InkStroke, Physics, SheetPlace};
 use host_tools::console::virtual_cell::{Firmware, VirtualCell};
 use host_tools::drawing::preparation::wire::to_wire;
 use host_tools::drawing::{Drawing, Stroke, to_path};
@@ -10,9 +11,11 @@ use host_tools::error::code;
 use host_tools::run::{RunTask, simulate};
 use host_tools::settings::machines::MACHINES;
 use host_tools::touches::{Touch, fit, lying};
+use rustix::process::Signal;
 use serde_json::Value;
 use std::fs;
-use std::process::Stdio;
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
 
 /// Half a degree.
 const SLOPE: [f64; 2] = [0.0071, -0.0051];
@@ -199,6 +202,20 @@ fn touches_that_give_no_sheet_and_machines_that_cannot_follow_one_are_refused() 
         &["tilt", "degrees"],
     );
     refused(
+        &with(&["230,150,-30", "254,150,-30", "242,171,-30"]),
+        &["corner at x 420, y 340 mm", "nearer to that corner"],
+    );
+    refused(
+        &with(&[
+            "230,150,-30",
+            "410,150,-30",
+            "410,330,-30",
+            "230,330,-30",
+            "320,240,-28",
+        ]),
+        &["touch 5 at x 320, y 240", "off the plane"],
+    );
+    refused(
         &with(&["230,150,-2", "400,150,-2", "320,330,-2"]),
         &["the sheet cannot lie there"],
     );
@@ -224,60 +241,129 @@ fn type_line(program: &mut Running, line: &str, text: &str) {
     program.wait_for(line, |program| (count(program) > before).then_some(()));
 }
 
+/// A gantry at rest that was homed, over a tilted sheet.
+struct Led {
+    folder: Folder,
+    file: PathBuf,
+    config: Config,
+    cell: VirtualCell,
+}
+
+impl Led {
+    fn new(text: &str, raised_mm: f64) -> Self {
+        let folder = Folder::new();
+        let file = folder.file("etherpen.toml", text);
+        let config = host_tools::settings::load(Some(&file)).expect("a configuration");
+        let options = CellOptions {
+            physics: sheet(&config, raised_mm),
+            ..CellOptions::default()
+        };
+        let cell = VirtualCell::start(&config, options, Firmware::Simulated).expect("the cell starts");
+        Self {
+            folder,
+            file,
+            config,
+            cell,
+        }
+    }
+
+    fn command(&self, words: &[&str]) -> Command {
+        let mut command = etherpen(&self.folder);
+        command.args(words).env("ETHERPEN_PORT", self.cell.port().to_string());
+        command
+    }
+
+    /// Homes it; on a busy computer the firmware may fall silent meanwhile.
+    fn home(&self) {
+        wait_until("a homed machine", || run(&mut self.command(&["home"])).0 == Some(0));
+    }
+
+    /// The dialogue, waiting for its first line.
+    fn dialogue(&self) -> Running {
+        let mut command = self.command(&["paper", "--touch", "--store"]);
+        let mut program = Running::start(command.stdin(Stdio::piped()));
+        program.wait_for("the first touch", |program| {
+            program.stderr().contains("Ctrl-C").then_some(())
+        });
+        program
+    }
+
+    fn platform(&self) -> Position {
+        self.cell.state().platform.expect("a place")
+    }
+
+    /// Moves the pen along one axis to a place.
+    fn go(&self, program: &mut Running, axis: &str, to_mm: f64) {
+        let now = self.platform();
+        let from_mm = match axis {
+            "x" => now.x_mm,
+            "y" => now.y_mm,
+            _ => now.z_mm,
+        };
+        type_line(program, &format!("{axis} {:.2}", to_mm - from_mm), " mm\n");
+    }
+
+    fn stored(&self) -> String {
+        fs::read_to_string(&self.file).expect("the file")
+    }
+}
+
+/// Extent of the longest stroke on the paper, mm.
+fn longest_mm(ink: &[InkStroke]) -> f64 {
+    let extent = |stroke: &InkStroke| {
+        let first = stroke.points_mm[0];
+        let distances = stroke.points_mm.iter().map(|[x, y]| (x - first[0]).hypot(y - first[1]));
+        distances.fold(0.0, f64::max)
+    };
+    ink.iter().map(extent).fold(0.0, f64::max)
+}
+
 #[test]
 fn a_user_is_led_to_the_touches_and_the_plane_is_the_sheets() {
-    let folder = Folder::new();
-    let file = folder.file("etherpen.toml", GANTRY);
-    let config = MACHINES[1].load().expect("the gantry");
     let raised_mm = 0.5;
-    let options = CellOptions {
-        physics: sheet(&config, raised_mm),
-        ..CellOptions::default()
-    };
-    let cell = VirtualCell::start(&config, options, Firmware::Simulated).expect("the cell starts");
-    let port = cell.port().to_string();
-    let (status, _, stderr) = run(etherpen(&folder).args(["paper", "--touch", "--port", &port]));
+    let led = Led::new(GANTRY, raised_mm);
+    let (status, _, stderr) = run(&mut led.command(&["paper", "--touch"]));
     assert_eq!(status, Some(i32::from(code::FAILED)), "{stderr}");
     assert!(stderr.contains("etherpen home"), "{stderr}");
-    let (status, _, stderr) = run(etherpen(&folder).args(["home", "--port", &port]));
-    assert_eq!(status, Some(0), "{stderr}");
-
-    let mut command = etherpen(&folder);
-    command
-        .args(["paper", "--touch", "--store", "--port", &port])
-        .stdin(Stdio::piped());
-    let mut program = Running::start(&mut command);
-    program.wait_for("the first touch", |program| {
-        program.stderr().contains("Ctrl-C").then_some(())
-    });
-    type_line(&mut program, "done", "there are 0");
-    type_line(&mut program, "left 3", "undo: forget");
-    let platform = |cell: &VirtualCell| cell.view().state().platform.expect("a place");
-    for (number, [x, y]) in (1..).zip(corners(&config)) {
-        let go = |program: &mut Running, axis: &str, by_mm: f64| {
-            type_line(program, &format!("{axis} {by_mm:.2}"), " mm\n");
-        };
-        go(&mut program, "z", -26.0 - platform(&cell).z_mm);
-        let now = platform(&cell);
-        go(&mut program, "x", x - now.x_mm);
-        go(&mut program, "y", y - now.y_mm);
-        assert!(!cell.view().state().pen_touches);
-        go(
-            &mut program,
-            "z",
-            touch_z_mm(&config, raised_mm, [x, y]) + 0.25 - platform(&cell).z_mm,
-        );
-        while !cell.view().state().pen_touches {
-            go(&mut program, "z", -0.1);
+    led.home();
+    let mut program = led.dialogue();
+    let program = &mut program;
+    type_line(program, "done", "there are 0");
+    type_line(program, "left 3", "undo: forget");
+    for (number, [x, y]) in (1..).zip(corners(&led.config)) {
+        led.go(program, "z", -26.0);
+        led.go(program, "x", x);
+        led.go(program, "y", y);
+        assert!(!led.cell.state().pen_touches);
+        if number == 1 {
+            // Too early: the pen does not touch yet.
+            led.go(program, "z", touch_z_mm(&led.config, raised_mm, [x, y]) + 1.5);
+            type_line(program, "", "touch 1: x");
         }
-        type_line(&mut program, "", &format!("touch {number}: x"));
+        led.go(program, "z", touch_z_mm(&led.config, raised_mm, [x, y]) + 0.25);
+        while !led.cell.state().pen_touches {
+            type_line(program, "z -0.1", " mm\n");
+        }
+        type_line(program, "", &format!("touch {number}: x"));
+        if number == 1 {
+            assert!(program.stderr().contains("in place of touch 1"), "{}", program.stderr());
+            // Along this line the sheet rises by more than the pen's spring gives way.
+            type_line(program, "x 100", " mm\n");
+            assert!((led.platform().x_mm - x - 100.0).abs() < 0.1, "{:?}", led.platform());
+        }
+        let (dragged_mm, pressed_mm) = (longest_mm(&led.cell.ink()), led.cell.state().pressed_max_mm);
+        assert!(
+            dragged_mm < 0.05 && pressed_mm == 0.0,
+            "after touch {number}: a line of {dragged_mm:.2} mm, pressed by {pressed_mm:.2} mm"
+        );
     }
     program.type_line("done");
     let status = program.end();
     assert_eq!(status.code(), Some(0), "{}", program.stderr());
-    drop(cell);
-    let stored = host_tools::settings::load(Some(&file)).expect("a configuration").paper;
-    let high_mm = stored.pen_down_z_mm - config.paper.pen_down_z_mm - raised_mm;
+    let stored = host_tools::settings::load(Some(&led.file))
+        .expect("a configuration")
+        .paper;
+    let high_mm = stored.pen_down_z_mm - led.config.paper.pen_down_z_mm - raised_mm;
     std::println!(
         "stored: {high_mm:.3} mm beside the true height, slope {:?} for {SLOPE:?}",
         stored.slope
@@ -292,9 +378,68 @@ fn a_user_is_led_to_the_touches_and_the_plane_is_the_sheets() {
             .all(|(found, slope)| (found - slope).abs() < 0.0008),
         "{stored:?}"
     );
+    assert!(led.stored().contains("# Gantry for an A2 sheet"));
+}
+
+#[test]
+fn only_done_stores_what_was_touched() {
+    let led = Led::new(GANTRY, 0.5);
+    led.home();
+    let hang_up = |program: &mut Running| {
+        program.signal(Signal::HUP);
+        program.close_input();
+    };
+    let ends: [&dyn Fn(&mut Running); 3] = [&Running::close_input, &|program| program.signal(Signal::HUP), &hang_up];
+    for end in ends {
+        let mut program = led.dialogue();
+        let program = &mut program;
+        for (number, [x, y]) in (1..).zip(corners(&led.config)) {
+            led.go(program, "x", x);
+            led.go(program, "y", y);
+            led.go(program, "z", -26.0);
+            type_line(program, "", &format!("touch {number}: x"));
+        }
+        // Enough for a plane that could be stored.
+        program.wait_for("a plane", |program| {
+            program.stderr().contains("another touch, or done").then_some(())
+        });
+        end(program);
+        let status = program.end();
+        assert_eq!(status.code(), Some(i32::from(code::FAILED)), "{}", program.stderr());
+        assert!(
+            program.stderr().contains("ended; nothing was stored"),
+            "{}",
+            program.stderr()
+        );
+        assert_eq!(led.stored(), GANTRY);
+    }
+}
+
+#[test]
+fn ctrl_c_stops_a_move_that_another_program_carries_out() {
+    let slow = GANTRY.replace("travel_speed_mm_s = 800.0", "travel_speed_mm_s = 20.0");
+    let led = Led::new(&slow, 0.5);
+    led.home();
+    let port = led.cell.port().to_string();
+    let mut console = Running::start(&mut led.command(&["console", "--listen", "127.0.0.1:0", "--port", &port]));
+    console.wait_for("address", |console| console.stdout().contains("http://").then_some(()));
+    wait_until("enabled drives", || run(&mut led.command(&["enable"])).0 == Some(0));
+    let mut program = led.dialogue();
+    let from_mm = led.platform().x_mm;
+    program.type_line("x 300");
+    program.wait_for("motion", |_| (led.platform().x_mm > from_mm + 10.0).then_some(()));
+    program.signal(Signal::INT);
+    let status = program.end();
+    assert_eq!(status.code(), Some(i32::from(code::FAILED)), "{}", program.stderr());
     assert!(
-        fs::read_to_string(&file)
-            .expect("the file")
-            .contains("# Gantry for an A2 sheet")
+        program.stderr().contains("ended; nothing was stored"),
+        "{}",
+        program.stderr()
     );
+    wait_until("a standstill", || {
+        let speeds = led.cell.state().velocities.0;
+        speeds.iter().all(|speed| speed.abs() < 5e-3)
+    });
+    let went_mm = led.platform().x_mm - from_mm;
+    assert!((10.0..250.0).contains(&went_mm), "{went_mm} mm of 300");
 }

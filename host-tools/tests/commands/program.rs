@@ -1,5 +1,6 @@
 //! The program as a user starts it: temporary folders, supervised processes.
 
+use rustix::process::{Pid, Signal, kill_process};
 use std::fs;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
@@ -112,6 +113,17 @@ impl Running {
         input
             .write_all(format!("{line}\n").as_bytes())
             .expect("the program reads");
+    }
+
+    /// Closes the standard input of a program that was started with a pipe as its standard input.
+    pub(crate) fn close_input(&mut self) {
+        drop(self.child.stdin.take());
+    }
+
+    /// Sends a signal.
+    pub(crate) fn signal(&self, signal: Signal) {
+        let pid = Pid::from_raw(self.id() as i32).expect("a process has a number");
+        kill_process(pid, signal).expect("it is a child of this test");
     }
 
     /// Waits until `found` returns a value for a program that is still running.

@@ -49,7 +49,7 @@ struct WayArguments {
     /// 34980).
     #[arg(long, value_name = "ADDR", value_parser = udp_address, global = true)]
     udp: Option<SocketAddrV4>,
-    /// Run the master on this computer, with the Unix socket of `etherpen segment --unix`.
+    /// Run the master on this computer, with the Unix socket of `etherpen segment --unix`; waits up to 2 s for it.
     #[arg(long, value_name = "PATH", global = true)]
     unix: Option<PathBuf>,
     #[command(flatten)]

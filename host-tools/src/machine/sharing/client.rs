@@ -7,8 +7,10 @@ use crate::error::code;
 use crate::link::ownership::{Owner, socket_path};
 use crate::link::port::PortName;
 use std::io::{self, BufRead, BufReader, ErrorKind};
+use std::net::Shutdown;
 use std::os::unix::net::UnixStream;
 use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 /// Time between two signs of life of a client that waits for the end of a motion. A jog is repeated every 40 ms, and
@@ -57,8 +59,17 @@ impl Client {
     /// # Errors
     /// Why the order was not carried out, or that the owner has ended.
     pub fn carry_out(&mut self, order: Order) -> Answer {
+        self.carry_out_unless(order, &AtomicBool::new(false))
+    }
+
+    /// Gives an order and waits for its answer. A motion is cancelled when `interrupted` becomes true: then this connection
+    /// is closed, which ends no other program's motion.
+    ///
+    /// # Errors
+    /// Why the order was not carried out, that the owner has ended, or the interrupt.
+    pub(in crate::machine) fn carry_out_unless(&mut self, order: Order, interrupted: &AtomicBool) -> Answer {
         let said = match order {
-            Order::Motion(_) => self.ask_alive(Ask::Order(order))?,
+            Order::Motion(_) => self.ask_alive(Ask::Order(order), interrupted)?,
             order => self.ask(Ask::Order(order), None)?,
         };
         match said {
@@ -127,19 +138,27 @@ impl Client {
     }
 
     /// Asks, and sends signs of life until the answer arrives.
-    fn ask_alive(&mut self, ask: Ask) -> Result<Said, Failure> {
+    fn ask_alive(&mut self, ask: Ask, interrupted: &AtomicBool) -> Result<Said, Failure> {
         let id = self.next;
         self.next = id.wrapping_add(1);
-        self.exchange_alive(&Question { id, ask })
-            .map_err(|cause| self.gone(&cause))
+        match self.exchange_alive(&Question { id, ask }, interrupted) {
+            Ok(Some(said)) => Ok(said),
+            Ok(None) => Err(Failure::new(code::FAILED, "interrupted; the motion was cancelled")),
+            Err(cause) => Err(self.gone(&cause)),
+        }
     }
 
-    fn exchange_alive(&mut self, question: &Question) -> io::Result<Said> {
+    /// The answer; `None` after an interrupt, which closes the connection.
+    fn exchange_alive(&mut self, question: &Question, interrupted: &AtomicBool) -> io::Result<Option<Said>> {
         let id = question.id;
         let stream = self.reader.get_mut();
         stream.set_read_timeout(Some(SIGN))?;
         send(stream, question)?;
         loop {
+            if interrupted.load(Ordering::Relaxed) {
+                self.reader.get_mut().shutdown(Shutdown::Both)?;
+                return Ok(None);
+            }
             send(self.reader.get_mut(), &Question { id, ask: Ask::Alive })?;
             match self.reader.read_until(b'\n', &mut self.begun) {
                 Ok(_) if self.begun.last() == Some(&b'\n') => break,
@@ -149,7 +168,7 @@ impl Client {
             }
         }
         let line = std::mem::take(&mut self.begun);
-        answer_to(id, &line)
+        answer_to(id, &line).map(Some)
     }
 
     fn exchange(&mut self, question: &Question, longest: Option<Duration>) -> io::Result<Said> {
