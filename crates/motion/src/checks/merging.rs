@@ -109,7 +109,11 @@ fn merged_vertices_stay_within_their_share_of_the_legs_that_replace_them() {
                         *drift = 0.95 * *drift + random.between(-1.0, 1.0);
                         *at += step_mm * (0.3 * *drift + random.between(-0.5, 0.5));
                     }
-                    let pen = if number / 300 % 2 == 0 { Pen::Down } else { Pen::Up };
+                    let pen = if (number / 300).is_multiple_of(2) {
+                        Pen::Down
+                    } else {
+                        Pen::Up
+                    };
                     vertex(at, pen, number / 500)
                 };
                 (0..2_000).map(step).collect()
