@@ -39,9 +39,10 @@ pub struct PenLift {
     pub down_ms: u16,
     /// Time from the output's change until the pen has left the paper, ms; used with an output.
     pub up_ms: u16,
-    /// Value of the output with the pen down, in the terminal's units; used with a servo.
+    /// Value of the output with the pen down, in the terminal's units, -65535 to 65535; used with a servo.
     pub down: i32,
-    /// Value of the output with the pen up, in the terminal's units; used with a servo. The output also has it at every stop.
+    /// Value of the output with the pen up, in the terminal's units, -65535 to 65535; used with a servo. The output also has it
+    /// at every stop.
     pub up: i32,
 }
 
@@ -88,7 +89,9 @@ impl PenLift {
     /// Bits of the pen's output with the pen up and down, at a point of this type; `None` if the type does not hold them, or
     /// if they are equal.
     pub(crate) fn words(&self, kind: IoType) -> Option<[u32; 2]> {
-        let raw = |value: i32| kind.raw(value.into());
+        // Longer values would not fit a configuration message that is full otherwise.
+        let fits = |value: i32| value.unsigned_abs() <= u16::MAX.into();
+        let raw = |value: i32| kind.raw(value.into()).filter(|_| fits(value));
         let [up, down] = match self.kind {
             PenLiftKind::Servo => [raw(self.up)?, raw(self.down)?],
             _ => [0, 1],
@@ -127,6 +130,7 @@ mod tests {
             kind: PenLiftKind::Output,
             down_ms: 50,
             up_ms: 20,
+            ..PenLift::default()
         };
         // 3 mm less 0.5 mm in 50 ms.
         assert!((lift.within(&motion, &paper).pen_speed_mm_s - 50.0).abs() < 1e-9);
@@ -155,6 +159,8 @@ mod tests {
         assert_eq!(servo.words(IoType::I16), Some([0xFC18, 2_000]));
         let unusable = [IoType::Bool, IoType::U16, IoType::I8];
         assert!(unusable.iter().all(|kind| servo.words(*kind).is_none()));
+        let long = PenLift { down: 65_536, ..servo };
+        assert_eq!(long.words(IoType::I32), None);
         let still = PenLift { up: 2_000, ..servo };
         assert_eq!(still.words(IoType::I16), None);
         let solenoid = PenLift {

@@ -480,10 +480,10 @@ mod tests {
             };
             let x_mm = 50 * stroke as i32;
             [
-                (x_mm, -840, Pen::Up),
+                (x_mm, -847, Pen::Up),
                 (x_mm, -850, Pen::Up),
                 (x_mm + 20, -850, Pen::Down),
-                (x_mm + 20, -840, Pen::Up),
+                (x_mm + 20, -847, Pen::Up),
             ]
             .map(vertex)
         };

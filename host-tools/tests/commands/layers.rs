@@ -51,9 +51,7 @@ impl Pauses<'_> {
 
     /// Waits for the `times`-th occurrence of a text, then checks that the robot stands without power and the pen is up.
     fn until_told(&self, drawing: &mut Running, text: &str, times: usize) {
-        drawing.wait_for(text, |drawing| {
-            (drawing.stderr().matches(text).count() >= times).then_some(())
-        });
+        until(drawing, text, times);
         let state = self.cell.state();
         assert!(!state.pen_touches, "{text}: the pen is down");
         let powered = state
@@ -71,6 +69,13 @@ impl Pauses<'_> {
             "{at:?} is not the place for changing the pen"
         );
     }
+}
+
+/// Waits for the `times`-th occurrence of a text.
+fn until(drawing: &mut Running, text: &str, times: usize) {
+    drawing.wait_for(text, |drawing| {
+        (drawing.stderr().matches(text).count() >= times).then_some(())
+    });
 }
 
 /// The farthest point of one run's ink from the other's, mm.
@@ -130,7 +135,8 @@ fn layers_wait_for_their_pens_through_stops_an_occupied_port_and_a_killed_progra
         (length_mm > 20.0).then_some(())
     });
     pauses.tell("stop");
-    pauses.until_told(&mut drawing, "Enter goes on with layer", 3);
+    // A stop leaves this machine's pen where it is: on the paper.
+    until(&mut drawing, "Enter goes on with layer", 3);
     pauses.tell("acknowledge");
     drawing.press_enter();
     pauses.until_told(&mut drawing, "change the pen for layer", 2);

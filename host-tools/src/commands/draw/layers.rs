@@ -49,10 +49,7 @@ pub(super) fn draw_layers(
             is_answered: number == 0 || resumed.is_some(),
         };
         pause.wait(operator)?;
-        loop {
-            let Err(EarlyEnd { error, begun }) = draw(arguments, config, &part, resumed.as_ref(), operator) else {
-                break;
-            };
+        while let Err(EarlyEnd { error, begun }) = draw(arguments, config, &part, resumed.as_ref(), operator) {
             // What was never drawn needs no pause, and what the operator has ended goes on only by --resume.
             if error.code == code::INTERRUPTED || (number == 0 && !begun && resumed.is_none()) {
                 return Err(error);
