@@ -205,6 +205,7 @@ function sheet(link) {
     const { sheet: found, status } = link.state;
     $("sheet").hidden = !found?.follows;
     text($("sheet-text"), found?.text ?? "");
+    text($("sheet-summary"), found?.touches ? `${found.touches} touch${found.touches === 1 ? "" : "es"}` : "find its tilt");
     $("touch").disabled = !link.controls || !status?.referenced;
     $("touch-undo").disabled = !link.controls || !found?.touches;
     $("touch-store").disabled = !link.controls || !found?.is_found;

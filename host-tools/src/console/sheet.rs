@@ -45,12 +45,14 @@ pub(super) struct SheetView {
 
 /// The place of a sheet in words.
 fn words(paper: &Paper) -> String {
-    format!(
+    let words = format!(
         "tilt {:.2}°, {:.2} mm over the sheet, height {:.2} mm",
         tilt_deg(paper.slope),
         rise_mm(paper),
         paper.pen_down_z_mm
-    )
+    );
+    // The page writes numbers with a true minus.
+    words.replace('-', "−")
 }
 
 pub(super) fn view(config: &Config, touches: &[Touch]) -> SheetView {
