@@ -29,7 +29,7 @@ fn server() -> &'static Server {
     static SERVER: OnceLock<Server> = OnceLock::new();
     SERVER.get_or_init(|| {
         let nobody = PortName::Unix("/nonexistent/etherpen-fuzzing".into());
-        let console = Console::start(Config::default(), TOKEN.to_owned(), nobody, None).expect("a console");
+        let console = Console::start(Config::default(), TOKEN.to_owned(), nobody, None, None).expect("a console");
         Server::start(console, "127.0.0.1:0".parse().expect("an address")).expect("a server")
     })
 }

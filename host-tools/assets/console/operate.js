@@ -208,6 +208,7 @@ function sheet(link) {
     const { sheet: found, status } = link.state;
     $("sheet").hidden = !found?.follows;
     text($("sheet-text"), found?.text ?? "");
+    text($("sheet-summary"), found?.touches ? `${found.touches} touch${found.touches === 1 ? "" : "es"}` : "find its tilt");
     $("touch").disabled = !link.controls || !status?.referenced || !["Idle", "DrivesOff", "Fault"].includes(status.mode);
     $("touch-undo").disabled = !link.controls || !found?.touches;
     $("touch-store").disabled = !link.controls || !found?.is_found;

@@ -55,12 +55,14 @@ pub(super) struct SheetView {
 
 /// The place of a sheet in words.
 fn words(paper: &Paper) -> String {
-    format!(
+    let words = format!(
         "tilt {:.2}°, {:.2} mm over the sheet, height {:.2} mm",
         tilt_deg(paper.slope),
         rise_mm(paper),
         paper.pen_down_z_mm
-    )
+    );
+    // The page writes numbers with a true minus.
+    words.replace('-', "−")
 }
 
 /// The place of a robot's pen that stands still.

@@ -79,6 +79,13 @@ fn an_operator_jogs_down_presses_touch_at_three_places_and_stores_the_tilt() {
     enable(browser);
     browser.until("document.getElementById('sheet-text').textContent.startsWith('configured: tilt 0.00°')");
     assert_eq!(browser.value("document.getElementById('touch-store').disabled"), true);
+    // Closed, it leaves its room to the position.
+    assert_eq!(
+        browser.value("document.getElementById('touch').checkVisibility()"),
+        false
+    );
+    browser.click("#sheet summary");
+    browser.until("document.getElementById('touch').checkVisibility()");
     browser.value("document.getElementById('jog-speed').value = '5', 0");
     let mut touches = Vec::new();
     for (number, [x, y]) in (1..).zip([[-80.0, -80.0], [80.0, -80.0], [70.0, 80.0]]) {
@@ -105,6 +112,7 @@ fn an_operator_jogs_down_presses_touch_at_three_places_and_stores_the_tilt() {
         browser.until("etherpen.link.state.pose.measured_mm[2] > -810.5");
         mode(browser, "Idle");
     }
+    browser.until("document.getElementById('sheet-summary').textContent === '3 touches'");
     browser.until("/3 touches: tilt [0-9.]+°.*touch [123] is 0.00 mm off/.test(document.getElementById('sheet-text').textContent)");
     browser.place("#sheet-text");
     browser.keep("sheet");
