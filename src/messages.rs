@@ -100,7 +100,8 @@ pub type DeviceEndpoint = device::DeviceEndpoint<RobotProtocol>;
 /// A request of the host to the application.
 pub type DeviceEvent = device::DeviceEvent<RobotProtocol>;
 
-const _: () = assert!(CONFIG_BYTES_MAX + 8 <= MESSAGE_BYTES_MAX);
+// Beside the configuration: the number of the variant, 1 byte, and that of the request, 3 bytes.
+const _: () = assert!(CONFIG_BYTES_MAX + 4 <= MESSAGE_BYTES_MAX);
 const _: () = assert!(size_of::<DeviceEndpoint>() <= 10 * 1024);
 
 /// A vertex of the path on the wire: micrometres in the robot's frame.

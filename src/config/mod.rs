@@ -88,7 +88,7 @@ impl Default for Config {
 }
 
 /// Longest encoded configuration, bytes.
-pub const CONFIG_BYTES_MAX: usize = 2040;
+pub const CONFIG_BYTES_MAX: usize = 2044;
 
 impl Config {
     /// Settings of motion.
@@ -161,7 +161,13 @@ impl Config {
             return Err(IoError::PenWithoutHeight);
         }
         let mut pens = (0..).zip(&self.io).filter(|(_, point)| point.role == IoRole::Pen);
-        if let Some((io, _)) = pens.find(|(_, point)| self.pen.words(point.kind).is_none()) {
+        // All pens get the words of the first.
+        let first = self.io.iter().find(|point| point.role == IoRole::Pen);
+        let common = first.and_then(|point| self.pen.words(point.kind));
+        if let Some((io, _)) = pens.find(|(_, point)| {
+            let words = self.pen.words(point.kind);
+            words.is_none() || words != common
+        }) {
             return Err(IoError::PenPositions { io });
         }
         terminal::check(self)
@@ -380,6 +386,13 @@ mod tests {
             (axis.vendor, axis.product, axis.revision) = (u32::MAX, u32::MAX, u32::MAX);
             (axis.alias, axis.switch, axis.serial) = (u16::MAX - number, u16::MAX, u32::MAX);
         }
+        config.pen = PenLift {
+            kind: PenLiftKind::Axis,
+            down_ms: 1_000,
+            up_ms: 1_000,
+            down: u16::MAX.into(),
+            up: -i32::from(u16::MAX),
+        };
         config.bus.settle_difference_ns = 100_000;
         config.bus.host_silence_ms = 10_000;
         while config.bus.name.push('n').is_ok() {}

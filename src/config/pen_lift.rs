@@ -39,7 +39,7 @@ pub struct PenLift {
     pub down_ms: u16,
     /// Time from the output's change until the pen has left the paper, ms; used with an output.
     pub up_ms: u16,
-    /// Value of the output with the pen down, in the terminal's units, -65535 to 65535; used with a servo.
+    /// Value of the output with the pen down, in the terminal's units, -65535 to 65535, not 0; used with a servo.
     pub down: i32,
     /// Value of the output with the pen up, in the terminal's units, -65535 to 65535; used with a servo. The output also has it
     /// at every stop.
@@ -87,12 +87,14 @@ impl PenLift {
     }
 
     /// Bits of the pen's output with the pen up and down, at a point of this type; `None` if the type does not hold them, or
-    /// if they are equal.
+    /// if they are equal, or if the pen would be down where nobody writes the output.
     pub(crate) fn words(&self, kind: IoType) -> Option<[u32; 2]> {
         // Longer values would not fit a configuration message that is full otherwise.
         let fits = |value: i32| value.unsigned_abs() <= u16::MAX.into();
         let raw = |value: i32| kind.raw(value.into()).filter(|_| fits(value));
         let [up, down] = match self.kind {
+            // Outputs that nobody writes are 0: that must not lower the pen.
+            PenLiftKind::Servo if self.down == 0 => return None,
             PenLiftKind::Servo => [raw(self.up)?, raw(self.down)?],
             _ => [0, 1],
         };
@@ -159,6 +161,9 @@ mod tests {
         assert_eq!(servo.words(IoType::I16), Some([0xFC18, 2_000]));
         let unusable = [IoType::Bool, IoType::U16, IoType::I8];
         assert!(unusable.iter().all(|kind| servo.words(*kind).is_none()));
+        // Without power its word is 0.
+        let fallen = PenLift { down: 0, ..servo };
+        assert_eq!(fallen.words(IoType::I16), None);
         let long = PenLift { down: 65_536, ..servo };
         assert_eq!(long.words(IoType::I32), None);
         let still = PenLift { up: 2_000, ..servo };

@@ -132,8 +132,8 @@ impl PathStop {
     pub(super) fn watch(&mut self, measured_rad_s: &[f64], planned_rad_s: &[f64], still_ms: u16) -> Progress {
         let is_over = self.rate <= 0.0 && still_ms >= STILL_MS && self.envelope.passed_ms >= STILL_MS;
         match self.envelope.step(measured_rad_s, planned_rad_s) {
-            Ok(()) if is_over => Progress::Stands,
-            Ok(()) => Progress::Brakes,
+            Ok(is_time_over) if is_over || is_time_over => Progress::Stands,
+            Ok(_) => Progress::Brakes,
             Err(failure) => Progress::Left(failure),
         }
     }
@@ -252,6 +252,8 @@ const STEPS: f64 = 2.0;
 /// Longest stop as a part of the longest planned one, and its addition, ms.
 const TIME_SHARE: f64 = 1.2;
 const TIME_ADDED_MS: u16 = 10;
+/// Speed with which the position controllers may still take the last error away when the time is over, rad/s.
+const SETTLING_RAD_S: f64 = 0.1;
 /// Milliseconds in a row in which a joint has to be off its ramp: a drive may report a position twice, and then two
 /// milliseconds of motion at once.
 const OFF_RAMP_MS: u8 = 3;
@@ -270,29 +272,35 @@ struct Envelope {
     first_rad_s: [f64; AXES],
     /// What a delay and the encoders' steps add, rad/s.
     added_rad_s: [f64; AXES],
+    /// Speeds up to which the joints count as standing when the time is over, rad/s.
+    settling_rad_s: [f64; AXES],
     off_ramp_ms: u8,
 }
 
 impl Envelope {
     fn new(quick_stop_s: f64, kept: usize, axes: &[Axis]) -> Self {
         let planned_ms = quick_stop_s / STEP_S / SHARE_MIN + kept as f64;
-        let mut added_rad_s = [0.0; AXES];
-        for (added, axis) in added_rad_s.iter_mut().zip(axes) {
-            let steps_rad = axis.gear.abs() * f64::from(axis.increments_per_revolution) / TAU;
-            *added = axis.quick_stop_rad_s2.abs() * LATER_S + STEPS / steps_rad / STEP_S;
+        let (mut added_rad_s, mut settling_rad_s) = ([0.0; AXES], [0.0; AXES]);
+        for ((added, settling), axis) in added_rad_s.iter_mut().zip(&mut settling_rad_s).zip(axes) {
+            let steps_per_rad = axis.gear.abs() * f64::from(axis.increments_per_revolution) / TAU;
+            let steps_rad_s = STEPS / steps_per_rad / STEP_S;
+            *added = axis.quick_stop_rad_s2.abs() * LATER_S + steps_rad_s;
+            *settling = SETTLING_RAD_S + steps_rad_s;
         }
         Self {
             longest_ms: (TIME_SHARE * planned_ms) as u16 + TIME_ADDED_MS,
             added_rad_s,
+            settling_rad_s,
             ..Self::default()
         }
     }
 
-    /// Advances by a millisecond.
+    /// Advances by a millisecond; returns whether the time is over, with all joints as slow as their controllers that take
+    /// the last error away.
     ///
     /// # Errors
     /// The part of the envelope that is left, with the joint that is farthest outside.
-    fn step(&mut self, measured_rad_s: &[f64], planned_rad_s: &[f64]) -> Result<(), PathStopFailure> {
+    fn step(&mut self, measured_rad_s: &[f64], planned_rad_s: &[f64]) -> Result<bool, PathStopFailure> {
         self.passed_ms = self.passed_ms.saturating_add(1);
         let mut worst = (1.0, 0, 0.0, 0.0);
         let mut is_near = true;
@@ -316,10 +324,14 @@ impl Envelope {
                 planned_rad_s: planned as f32,
             });
         }
-        if self.passed_ms > self.longest_ms {
-            return Err(self.too_long(measured_rad_s));
+        if self.passed_ms <= self.longest_ms {
+            return Ok(false);
         }
-        Ok(())
+        let mut joints = measured_rad_s.iter().zip(&self.settling_rad_s);
+        match joints.all(|(measured, settling)| measured.abs() <= *settling) {
+            true => Ok(true),
+            false => Err(self.too_long(measured_rad_s)),
+        }
     }
 
     /// Names the fastest joint of a stop that takes too long.

@@ -12,6 +12,7 @@ mod board;
 mod bursts;
 mod clocks;
 mod commands;
+mod dense;
 mod feedback;
 mod feedback_scan;
 mod feedback_soak;

@@ -18,7 +18,7 @@
 //! si = hi^2 / (ri + si) <= 0.4 e. As ti <= Ri <= ri + 0.35 e, ti - si <= 0.75 e; where |b - a| bounds ti, si exceeds it by
 //! at most 0.35 e. The distance of pi from its place is at most sqrt(0.6^2 + 0.75^2) e < 0.97 e. Between two vertices,
 //! points in equal proportion are no farther apart than at the ends (a ball is convex). The two lines therefore stay
-//! within 0.97 e of each other in the order of travel (their Frechet distance), in both directions.
+//! within e of each other in the order of travel (their Frechet distance), in both directions.
 
 use super::admission::LEG_MIN_MM;
 use super::averaging::tolerances;

@@ -32,6 +32,8 @@ const NEAR_PAPER: f64 = 0.5;
 /// Distance over the paper that a pen need not be lifted for, mm: less than the width of any line.
 const BESIDE_MM: f64 = 0.01;
 /// Bounds of the override, percent.
+/// The legs of a path that has starved wait for others until no vertex has come for this long, ms.
+const GATHER_MS: u32 = 240;
 const OVERRIDE_PERCENT: core::ops::RangeInclusive<u8> = 10..=200;
 
 /// What follows after the motion has come to rest on the path.
@@ -86,6 +88,11 @@ struct Motion {
     /// Whether the motion on the path has begun since its start.
     begun: bool,
     starving_ms: u32,
+    /// Whether the legs wait for others since the path has starved.
+    gathers: bool,
+    /// Vertices pushed when this was last looked at, and for how long none has come since, ms.
+    heard: u32,
+    silent_ms: u32,
     underruns: u32,
     work: u32,
     watch: Watch,
@@ -113,6 +120,9 @@ impl Trajectory {
                 pushed: 0,
                 begun: false,
                 starving_ms: 0,
+                gathers: false,
+                heard: 0,
+                silent_ms: 0,
                 underruns: 0,
                 work: 0,
                 watch: Watch::new(),
@@ -395,7 +405,8 @@ impl Motion {
             self.queue.push(node);
         }
         // Every leg adds at least one interval to the grid, so more legs would only wait for the grid.
-        for _ in 0..GROWTH {
+        let growth = if self.still_gathers() { 0 } else { GROWTH };
+        for _ in 0..growth {
             if !self.plan.has_room() {
                 break;
             }
@@ -418,9 +429,23 @@ impl Motion {
         }
     }
 
+    /// Whether the legs still wait for others after the path has starved: until the queue is full, the path complete, or
+    /// nothing more comes. A link that is slower than the path would otherwise give one leg at a time, with a stop of the
+    /// lowered pen after each.
+    fn still_gathers(&mut self) -> bool {
+        self.silent_ms = match self.heard == self.pushed {
+            true => self.silent_ms.saturating_add(PERIOD_MS as u32),
+            false => 0,
+        };
+        self.heard = self.pushed;
+        self.gathers &= !self.finished && self.room() > 0 && self.silent_ms < GATHER_MS;
+        self.gathers
+    }
+
     fn starve(&mut self) {
         if self.starving_ms == 0 && self.begun {
             self.underruns = self.underruns.saturating_add(1);
+            (self.gathers, self.silent_ms) = (true, 0);
         }
         self.starving_ms = self.starving_ms.saturating_add(PERIOD_MS as u32);
         if self.starving_ms > u32::from(self.starve_dwell_ms) && self.here.label.pen == Pen::Down {

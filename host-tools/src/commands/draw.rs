@@ -206,17 +206,19 @@ fn draw(
         true => ResumePlan::whole(&path, begin_log(arguments, part, config, &path)),
     };
     let drawing = DrawingRun::begin(&machine, config, &path, plan, &part.name);
-    let ended = attend(drawing, operator, display(arguments))?;
+    // From here on the robot may have drawn.
+    let begun = |error: ProgramError| EarlyEnd { error, begun: true };
+    let ended = attend(drawing, operator, display(arguments)).map_err(begun)?;
     let (result, job) = (ended.result, ended.report);
     let finished = finish(arguments, config, part, &prepared, &job, result.is_ok());
     result.map_err(|failure| EarlyEnd {
         error: failure.into(),
-        begun: !job.samples.is_empty(),
+        begun: job.progress.vertices > 0,
     })?;
     if let Some(position) = part.then_to {
-        go_to(&machine, position, operator);
+        go_to(&machine, position, operator).map_err(begun)?;
     }
-    Ok(finished?)
+    finished.map_err(begun)
 }
 
 fn known(machine: &Machine) -> Result<MachineState, ProgramError> {
@@ -224,20 +226,29 @@ fn known(machine: &Machine) -> Result<MachineState, ProgramError> {
 }
 
 /// Moves to a place with the pen up; a key ends the motion. A robot that does not get there stays where it is.
-fn go_to(machine: &Machine, position: Position, operator: &mut Operator) {
+///
+/// # Errors
+/// The program was asked to end meanwhile.
+fn go_to(machine: &Machine, position: Position, operator: &mut Operator) -> Result<(), ProgramError> {
+    let mut is_asked_to_end = false;
     let answer = machine.order(Order::Motion(Motion::Move(position)));
     loop {
         match answer.recv_timeout(LOOK) {
             Err(RecvTimeoutError::Timeout) => {}
-            Ok(Ok(_)) | Err(RecvTimeoutError::Disconnected) => return,
+            Ok(Ok(_)) | Err(RecvTimeoutError::Disconnected) => break,
             Ok(Err(failure)) => {
                 eprintln!("etherpen: the robot is not at the place for changing the pen: {failure}");
-                return;
+                break;
             }
         }
-        if operator.next_key().is_some_and(|key| key != Key::Enter) {
+        if let Some(key) = operator.next_key().filter(|key| *key != Key::Enter) {
+            is_asked_to_end |= key == Key::Terminate;
             drop(machine.order(Order::Cancel));
         }
+    }
+    match is_asked_to_end {
+        true => Err(ProgramError::new(code::INTERRUPTED, "ended after a layer")),
+        false => Ok(()),
     }
 }
 

@@ -94,6 +94,21 @@ impl Operator {
         }
     }
 
+    /// Waits for a key that answers a question asked now: on a terminal, an Enter from before was meant for something
+    /// else. `None` once standard input has ended.
+    pub(super) fn wait_fresh(&mut self) -> Option<Key> {
+        self.fresh(std::io::stdin().is_terminal())
+    }
+
+    fn fresh(&mut self, is_terminal: bool) -> Option<Key> {
+        while let Some(key) = self.next_key() {
+            if key != Key::Enter || !is_terminal {
+                return Some(key);
+            }
+        }
+        self.wait()
+    }
+
     /// The oldest key not yet taken.
     pub(super) fn next_key(&mut self) -> Option<Key> {
         self.keys.try_recv().ok()
@@ -112,5 +127,31 @@ impl Operator {
             }
             Key::Interrupt | Key::Terminate => Control::Cancel,
         })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_enter_from_before_the_question_answers_it_only_from_a_pipe() {
+        let pressed = |keys: &[Key]| {
+            let (sender, received) = mpsc::channel();
+            keys.iter().for_each(|key| sender.send(*key).expect("somebody listens"));
+            let operator = Operator {
+                keys: received,
+                reads: Arc::new(AtomicBool::new(false)),
+                held: false,
+                early: false,
+            };
+            (sender, operator)
+        };
+        let (_keyboard, mut operator) = pressed(&[Key::Enter, Key::Enter]);
+        assert_eq!(operator.fresh(true), None);
+        let (_keyboard, mut operator) = pressed(&[Key::Enter, Key::Terminate]);
+        assert_eq!(operator.fresh(true), Some(Key::Terminate));
+        let (_pipe, mut operator) = pressed(&[Key::Enter, Key::Interrupt]);
+        assert_eq!(operator.fresh(false), Some(Key::Enter));
     }
 }

@@ -66,6 +66,10 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         let text = format!("{shown}: --debug makes a PNG; give it a name that ends in .png");
         return Err(ProgramError::new(code::USAGE, text));
     }
+    if arguments.debug && arguments.file.as_os_str() == "-" {
+        let text = "--debug reads the photograph twice: standard input cannot be read again; name a file";
+        return Err(ProgramError::new(code::USAGE, text));
+    }
     refuse_input(
         &arguments.out,
         &arguments.source.inputs(&arguments.file, arguments.config.path()),

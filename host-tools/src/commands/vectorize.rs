@@ -92,9 +92,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let mut variants = Vec::new();
     if let Some(out) = &arguments.contact_sheet {
         let count = usize::from(arguments.variants.unwrap_or(VARIANTS));
-        let others = variants_of(&picture, &config, source, count - 1).map_err(refused)?;
-        let first = Variant::new(source.look(), drawing.clone());
-        let all: Vec<Variant> = std::iter::once(first).chain(others).collect();
+        let all = variants_of(&picture, &config, source, drawing.clone(), count).map_err(refused)?;
         write_bytes(out, &contact_sheet(&all, source.pen_width_mm()).map_err(refused)?)?;
         variants = all.iter().map(VariantAnswer::of).collect();
     }

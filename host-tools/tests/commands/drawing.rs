@@ -265,6 +265,27 @@ fn variants_of_a_photograph_are_shown_side_by_side() {
 }
 
 #[test]
+fn no_variant_repeats_another_where_a_crop_changes_nothing() {
+    let folder = Folder::new();
+    // Without a face, nothing is cropped.
+    let (status, stdout, stderr) = run(etherpen(&folder)
+        .arg("vectorize")
+        .arg(workspace().join("samples/camera.png"))
+        .args(["--json", "--size", "40mm", "--variants", "7", "--contact-sheet"])
+        .arg(folder.join("sheet.png")));
+    assert_eq!(status, Some(0), "{stderr}");
+    let answer = json(&stdout);
+    let variants = answer["variants"].as_array().expect("variants");
+    assert_eq!(variants.len(), 7);
+    for (index, variant) in variants.iter().enumerate() {
+        let same = |other: &&serde_json::Value| {
+            (&other["strokes"], &other["pen_down_mm"]) == (&variant["strokes"], &variant["pen_down_mm"])
+        };
+        assert_eq!(variants[..index].iter().find(same), None, "{variant}");
+    }
+}
+
+#[test]
 fn a_camera_takes_the_photograph_that_is_drawn() {
     let folder = Folder::new();
     let picture = image::RgbImage::from_fn(96, 64, |x, y| {

@@ -128,16 +128,26 @@ fn layers_wait_for_their_pens_through_stops_an_occupied_port_and_a_killed_progra
     drop(other);
     assert_eq!(cell.ink(), first, "nothing was drawn meanwhile");
 
-    // A stop in the middle of the second layer.
+    // A stop in the middle of the second layer ends the program; the next one asks for that layer's pen first.
     drawing.press_enter();
     drawing.wait_for("ink of the second layer", |_| {
         let length_mm = cell.ink().get(STROKES).map_or(0.0, InkStroke::length_mm);
         (length_mm > 20.0).then_some(())
     });
     pauses.tell("stop");
-    // A stop leaves this machine's pen where it is: on the paper.
-    until(&mut drawing, "Enter goes on with layer", 3);
+    let status = drawing.end();
+    assert_eq!(status.code(), Some(i32::from(code::FAULT)), "{}", drawing.stderr());
+    assert!(
+        drawing.stderr().contains("--pause --resume goes on"),
+        "{}",
+        drawing.stderr()
+    );
     pauses.tell("acknowledge");
+    let half = cell.ink();
+    let mut drawing = pauses.draw(&file, &["--resume", "--change-at", PLACE_TEXT]);
+    // A stop leaves this machine's pen where it is: on the paper.
+    until(&mut drawing, "change the pen for layer", 1);
+    assert_eq!(cell.ink(), half, "nothing is drawn before the pen is in");
     drawing.press_enter();
     pauses.until_told(&mut drawing, "change the pen for layer", 2);
     pauses.is_at_the_place();
@@ -164,6 +174,12 @@ fn layers_wait_for_their_pens_through_stops_an_occupied_port_and_a_killed_progra
     assert_eq!(status.code(), Some(0), "{}", drawing.stderr());
     let (missing_mm, beside_mm) = (farthest_mm(&whole, &cell.ink()), farthest_mm(&cell.ink(), &whole));
     println!("ink missing {missing_mm:.3} mm, beside the lines {beside_mm:.3} mm");
+    let length_mm = |ink: &[InkStroke]| ink.iter().map(InkStroke::length_mm).sum::<f64>();
+    let (twice_mm, whole_mm) = (length_mm(&cell.ink()), length_mm(&whole));
+    assert!(
+        (twice_mm - whole_mm).abs() < 12.0,
+        "{twice_mm} mm of ink, {whole_mm} mm in one go"
+    );
     assert!(
         missing_mm <= SAME_MM && beside_mm <= SAME_MM,
         "{missing_mm} mm, {beside_mm} mm"

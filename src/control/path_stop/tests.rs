@@ -224,6 +224,10 @@ fn a_joint_that_does_not_brake_or_brakes_softly_or_never_ends_leaves_the_envelop
         passed_ms: 117,
     };
     assert_eq!(over, Some((116, expected)));
+    // Controllers that still take the last error away are no joints in motion.
+    let mut envelope = Envelope::new(0.05, 5, &axes(100.0));
+    let over = (0..500).find(|_| envelope.step(&[0.0, 0.0, 0.05, -0.1], &[0.0; AXES]) == Ok(true));
+    assert_eq!(over, Some(116));
     let mut envelope = envelope_of_nothing();
     for is_within in [true, true, false] {
         let judged = envelope.step(&[0.0, f64::NAN, 0.0, 0.0], &[0.0; AXES]);

@@ -104,13 +104,17 @@ impl<G: IoTrigger + IoGroup> Sampler<'_, G> {
     #[cold]
     fn leave_path(&mut self, failure: PathStopFailure) {
         if failure == PathStopFailure::Dry || self.now.valid == [true; AXES] {
-            self.supervision.latch(Fault::PathStopLeft(failure));
-            self.counters.path_stops_left = self.counters.path_stops_left.wrapping_add(1);
+            let fault = Fault::PathStopLeft(failure);
+            self.supervision.latch(fault);
+            // Another fault of this millisecond explains more.
+            if self.supervision.fault() == Some(fault) {
+                self.counters.path_stops_left = self.counters.path_stops_left.wrapping_add(1);
+            }
         }
         self.stop_at_once();
     }
 
-    /// The first joint that is farther from the path than its following error may be.
+    /// A joint that is farther from the path than its following error may be.
     #[cold]
     fn farthest_from_path(&self) -> Option<PathStopFailure> {
         let joints = self.axes.iter().zip(&self.controllers).zip(&self.now.measured_rad);

@@ -79,7 +79,7 @@ pub(crate) struct Eeprom {
 impl Eeprom {
     /// A memory whose commands take this long; `flags` are the idle state of the control register.
     pub(crate) fn new(image: Vec<u8>, busy_ns: u64, flags: u16) -> Self {
-        Self {
+        let mut eeprom = Self {
             image,
             pending: 0,
             due_ns: 0,
@@ -89,7 +89,9 @@ impl Eeprom {
             flags,
             held: false,
             is_loaded: false,
-        }
+        };
+        eeprom.is_loaded = eeprom.is_valid();
+        eeprom
     }
 
     /// Register content after power-up.
@@ -315,6 +317,7 @@ mod tests {
             (SiiFault::Whole, READS_EIGHT_BYTES, 8),
         ] {
             let mut registers = registers(COMMAND_READ, 4);
+            eeprom.set_fault(SiiFault::Whole, &mut registers);
             eeprom.reset(&mut registers);
             eeprom.set_fault(fault, &mut registers);
             set_word(&mut registers, CONTROL, COMMAND_READ);

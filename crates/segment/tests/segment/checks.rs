@@ -240,7 +240,11 @@ fn a_blank_board_answers_registers_and_disturbs_nobody() {
     assert_eq!(rig.read(STATION, 0x0110, 1)[0] & 3, 0, "nothing was loaded");
     for word in [0x00, 0x08, 0x18, 0x40] {
         rig.write(STATION, 0x0502, &[0x00, 0x01, word, 0, 0, 0]);
-        assert_eq!(rig.read(STATION, 0x0502, 2), [0x80, 0x08], "a wrong checksum");
+        assert_eq!(
+            rig.read(STATION, 0x0502, 2),
+            [0x80, 0x18],
+            "a wrong checksum, so nothing is loaded"
+        );
         let data = rig.read(STATION, 0x0508, 8);
         assert_eq!(data, [0xFF, 0xFF, 0xFF, 0xFF, 0, 0, 0, 0], "four bytes a read");
     }

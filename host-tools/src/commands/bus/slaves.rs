@@ -199,22 +199,27 @@ struct Change<'a> {
     seen: Option<&'a SlaveState>,
 }
 
-/// `bus watch`: prints the state of every slave, then every change, until interrupted.
+/// `bus watch`: prints the state of every slave, then every change, until interrupted or until nobody reads them.
 pub(super) fn watch(access: &mut dyn BusAccess, json: bool, ended: &AtomicBool) -> Result<(), ProgramError> {
     let begun = Instant::now();
     let mut watch = Watch::default();
-    while !ended.load(Ordering::Relaxed) {
-        watch.poll(access, &mut |slave, seen| tell(begun, slave, seen, json))?;
+    let mut has_reader = true;
+    while has_reader && !ended.load(Ordering::Relaxed) {
+        watch.poll(access, &mut |slave, seen| {
+            has_reader &= tell(begun, slave, seen, json)?;
+            Ok(())
+        })?;
         std::thread::sleep(LOOK);
     }
     Ok(())
 }
 
-fn tell(begun: Instant, slave: u8, seen: Option<&SlaveState>, json: bool) -> Result<(), ProgramError> {
+/// Prints a change; returns whether stdout still has a reader.
+fn tell(begun: Instant, slave: u8, seen: Option<&SlaveState>, json: bool) -> Result<bool, ProgramError> {
     let t_ms = u64::try_from(begun.elapsed().as_millis()).unwrap_or(u64::MAX);
     if json {
         let line = serde_json::to_string(&Change { t_ms, slave, seen });
-        return table::say(&line.map_err(|cause| ProgramError::failed("the change", cause))?);
+        return table::heard(&line.map_err(|cause| ProgramError::failed("the change", cause))?);
     }
     let what = match seen {
         None => "does not answer; check its cable and supply".to_owned(),
@@ -229,5 +234,5 @@ fn tell(begun: Instant, slave: u8, seen: Option<&SlaveState>, json: bool) -> Res
             format!("{}{drive}{code}", al_state(state.al_status))
         }
     };
-    table::say(&format!("{:>9.3} s  slave {slave}  {what}", t_ms as f64 / 1000.0))
+    table::heard(&format!("{:>9.3} s  slave {slave}  {what}", t_ms as f64 / 1000.0))
 }

@@ -28,5 +28,13 @@ pub(super) fn print<const COLUMNS: usize>(
 
 /// Prints a line on stdout.
 pub(super) fn say(line: &str) -> Result<(), ProgramError> {
-    writeln!(std::io::stdout(), "{line}").or_else(ProgramError::of_stdout)
+    heard(line).map(|_| ())
+}
+
+/// Prints a line on stdout; returns whether it still has a reader.
+pub(super) fn heard(line: &str) -> Result<bool, ProgramError> {
+    match writeln!(std::io::stdout(), "{line}") {
+        Ok(()) => Ok(true),
+        Err(cause) => ProgramError::of_stdout(cause).map(|()| false),
+    }
 }

@@ -1,8 +1,9 @@
 //! A drawing layer by layer, with a pause before each but the first, for another pen.
 //!
 //! The robot stands without power in a pause, at the place for changing the pen or over the last stroke. A layer that
-//! ends early, by a fault, a stop or a broken connection, ends no other: the operator removes the cause and goes on.
-//! The log of jobs has an entry for each layer, so the pause also outlives this program.
+//! cannot begin, because of a fault, a stop or a broken connection, waits until the operator has removed the cause; one
+//! that has begun ends the program. The log of jobs has an entry for each layer: `--pause --resume` goes on with the first
+//! that is not drawn to its end, after asking for its pen.
 
 use super::{Arguments, EarlyEnd, Part, draw};
 use crate::commands::operator::{Key, Operator};
@@ -46,16 +47,14 @@ pub(super) fn draw_layers(
         };
         let mut pause = Pause {
             layer: shown,
-            is_answered: number == 0 || resumed.is_some(),
+            // Whoever resumes may have taken the pen out.
+            is_answered: number == 0 && resumed.is_none(),
         };
         pause.wait(operator)?;
         while let Err(EarlyEnd { error, begun }) = draw(arguments, config, &part, resumed.as_ref(), operator) {
-            // What was never drawn needs no pause, and what the operator has ended goes on only by --resume.
-            if error.code == code::INTERRUPTED || (number == 0 && !begun && resumed.is_none()) {
-                return Err(error);
-            }
-            if begun {
-                resumed = Some(Resumption::Last(file.to_owned()));
+            // What was never drawn needs no pause, and what has begun goes on only by --resume.
+            if begun || error.code == code::INTERRUPTED || (number == 0 && resumed.is_none()) {
+                return Err(resumable(error));
             }
             pause.again(operator, error)?;
         }
@@ -79,7 +78,7 @@ impl Pause<'_> {
         let layer = self.layer;
         eprintln!("etherpen: change the pen for layer {layer}; Enter draws it, Ctrl-C ends");
         self.is_answered = true;
-        match operator.wait() {
+        match operator.wait_fresh() {
             Some(Key::Enter) => Ok(()),
             Some(Key::Interrupt | Key::Terminate) | None => Err(ProgramError::new(
                 code::INTERRUPTED,
@@ -90,19 +89,27 @@ impl Pause<'_> {
         }
     }
 
-    /// Waits until the cause of an early end is removed.
+    /// Waits until the cause is removed for which the layer could not begin.
     fn again(&self, operator: &mut Operator, error: ProgramError) -> Result<(), ProgramError> {
         let layer = self.layer;
-        eprintln!("etherpen: layer {layer} ended early: {}", error.message);
+        eprintln!("etherpen: layer {layer} did not begin: {}", error.message);
         eprintln!("etherpen: remove the cause; Enter goes on with layer {layer}, Ctrl-C ends");
         operator.held = false;
-        match operator.wait() {
+        match operator.wait_fresh() {
             Some(Key::Enter) => Ok(()),
-            Some(Key::Interrupt | Key::Terminate) | None => Err(ProgramError {
-                message: format!("{}; --pause --resume goes on with layer {layer}", error.message),
-                ..error
-            }),
+            Some(Key::Interrupt | Key::Terminate) | None => Err(resumable(error)),
         }
+    }
+}
+
+/// The error, with the way back.
+fn resumable(error: ProgramError) -> ProgramError {
+    ProgramError {
+        message: format!(
+            "{}; --pause --resume goes on with the layers that are left",
+            error.message
+        ),
+        ..error
     }
 }
 

@@ -35,7 +35,7 @@ pub(crate) struct Variant {
 }
 
 impl Variant {
-    pub(crate) fn new([style, crop, background]: [&str; 3], drawing: Drawing) -> Self {
+    fn new([style, crop, background]: [&str; 3], drawing: Drawing) -> Self {
         Self {
             options: format!("--style {style} --crop {crop} --background {background}"),
             drawing,
@@ -43,7 +43,8 @@ impl Variant {
     }
 }
 
-/// At most `count` drawings of a photograph that differ from the one that `source` asks for.
+/// At most `count` drawings of a photograph, the first of them `drawing`, which `source` asks for. Options that lead to the
+/// lines of an earlier one are left out: a head that fills the picture is not cropped.
 ///
 /// # Errors
 /// The first drawing that cannot be made.
@@ -51,17 +52,20 @@ pub(crate) fn variants_of(
     picture: &RgbImage,
     config: &Config,
     source: &SourceArguments,
+    drawing: Drawing,
     count: usize,
 ) -> Result<Vec<Variant>, DrawingError> {
-    LOOKS
-        .into_iter()
-        .filter(|look| *look != source.look())
-        .take(count)
-        .map(|look| {
-            let made = from_photograph(picture.clone(), config, &source.varied(look))?;
-            Ok(Variant::new(look, made.drawing))
-        })
-        .collect()
+    let mut variants = vec![Variant::new(source.look(), drawing)];
+    for look in LOOKS.into_iter().filter(|look| *look != source.look()) {
+        if variants.len() >= count {
+            break;
+        }
+        let drawing = from_photograph(picture.clone(), config, &source.varied(look))?.drawing;
+        if variants.iter().all(|other| other.drawing.strokes != drawing.strokes) {
+            variants.push(Variant::new(look, drawing));
+        }
+    }
+    Ok(variants)
 }
 
 /// All variants side by side, each above its options, as the bytes of a PNG.

@@ -118,16 +118,16 @@ fn with_faces(mut picture: RgbImage, faces: &[Face]) -> RgbImage {
             .collect();
         paint(&mut picture, &oval, width, OVAL_COLOUR);
         for [x, y] in [face.eyes[0], face.eyes[1], face.mouth] {
-            let arm = CROSS_RADII * face.radius;
+            let half = CROSS_RADII * face.radius;
             paint(
                 &mut picture,
-                &[[x - arm, y], [x + arm, y]],
+                &[[x - half, y], [x + half, y]],
                 1.5 * width,
                 LANDMARK_COLOUR,
             );
             paint(
                 &mut picture,
-                &[[x, y - arm], [x, y + arm]],
+                &[[x, y - half], [x, y + half]],
                 1.5 * width,
                 LANDMARK_COLOUR,
             );

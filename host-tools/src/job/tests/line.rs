@@ -127,5 +127,5 @@ fn nonsense_in_good_frames_makes_no_panic() {
             understood += events(&mut job).len();
         }
     }
-    assert!(understood > 150, "{understood}");
+    assert!(understood > 80, "{understood}");
 }
