@@ -89,6 +89,10 @@ fn farthest_mm(of: &[InkStroke], from: &[InkStroke]) -> f64 {
     points.map(nearest).fold(0.0, f64::max)
 }
 
+fn length_mm(ink: &[InkStroke]) -> f64 {
+    ink.iter().map(InkStroke::length_mm).sum()
+}
+
 #[test]
 fn layers_wait_for_their_pens_through_stops_an_occupied_port_and_a_killed_program() {
     let folder = Folder::new();
@@ -147,7 +151,9 @@ fn layers_wait_for_their_pens_through_stops_an_occupied_port_and_a_killed_progra
     let mut drawing = pauses.draw(&file, &["--resume", "--change-at", PLACE_TEXT]);
     // A stop leaves this machine's pen where it is: on the paper.
     until(&mut drawing, "change the pen for layer", 1);
-    assert_eq!(cell.ink(), half, "nothing is drawn before the pen is in");
+    // The last error that the controllers take away may leave a trace.
+    let more_mm = length_mm(&cell.ink()) - length_mm(&half);
+    assert!(more_mm < 0.5, "{more_mm} mm are drawn before the pen is in");
     drawing.press_enter();
     pauses.until_told(&mut drawing, "change the pen for layer", 2);
     pauses.is_at_the_place();
@@ -174,7 +180,6 @@ fn layers_wait_for_their_pens_through_stops_an_occupied_port_and_a_killed_progra
     assert_eq!(status.code(), Some(0), "{}", drawing.stderr());
     let (missing_mm, beside_mm) = (farthest_mm(&whole, &cell.ink()), farthest_mm(&cell.ink(), &whole));
     println!("ink missing {missing_mm:.3} mm, beside the lines {beside_mm:.3} mm");
-    let length_mm = |ink: &[InkStroke]| ink.iter().map(InkStroke::length_mm).sum::<f64>();
     let (twice_mm, whole_mm) = (length_mm(&cell.ink()), length_mm(&whole));
     assert!(
         (twice_mm - whole_mm).abs() < 12.0,
