@@ -3,6 +3,7 @@
 //! The figures of each run are printed (`cargo test --test identification -- --nocapture`).
 
 use etherpen::config::{AxisMode, Config};
+use etherpen::ethercat::cyclic::ExchangeKind;
 use etherpen::messages::Sample;
 use host_tools::cell::{CellOptions, Physics};
 use host_tools::drawing::preparation::prepare::prepare;
@@ -103,6 +104,35 @@ fn a_wrong_lead_and_a_wrong_gain_are_found_and_the_drawn_line_comes_closer() {
         );
         assert!(after.path_deviation_max_mm < before.path_deviation_max_mm);
         assert!(after.path_deviation_max_mm <= 0.1, "{} mm", after.path_deviation_max_mm);
+    }
+}
+
+#[test]
+fn one_telegram_for_both_directions_needs_no_other_leads() {
+    for mode in [AxisMode::Velocity, AxisMode::Position] {
+        let cell = CellOptions::default();
+        let [split, combined] = [ExchangeKind::Split, ExchangeKind::Combined].map(|exchange| {
+            let mut config = Config::default();
+            config.bus.exchange = exchange;
+            config.axes.iter_mut().for_each(|axis| axis.mode = mode);
+            let found = identified(&config, &cell);
+            let axis = found.axes[0];
+            let ink_mm = drawn(&config, &cell).ink_deviation_max_mm;
+            println!(
+                "{mode:?}, {exchange:?}: lead {:.4} ms, of the target {:.4} ms, ink {ink_mm:.4} mm",
+                axis.feed_forward_lead_ms, axis.position_lead_ms
+            );
+            (axis, ink_mm)
+        });
+        let (lead_ms, before_ms) = (combined.0.feed_forward_lead_ms, split.0.feed_forward_lead_ms);
+        assert!((lead_ms - before_ms).abs() < LEAD_MS, "{lead_ms} ms, {before_ms} ms");
+        let (lead_ms, before_ms) = (combined.0.position_lead_ms, split.0.position_lead_ms);
+        assert!(
+            (lead_ms - before_ms).abs() < POSITION_LEAD_MS,
+            "{lead_ms} ms, {before_ms} ms"
+        );
+        // At 400 mm/s a millisecond is 0.4 mm.
+        assert!(combined.1 < split.1 + 0.01, "{} mm, {} mm", combined.1, split.1);
     }
 }
 

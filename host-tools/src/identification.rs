@@ -191,19 +191,35 @@ pub fn test_path(config: &Config) -> Vec<PathVertex> {
 
 /// Estimates every axis from the telemetry of a motion run with `config`.
 pub fn identify(config: &Config, samples: &[Sample]) -> [Result<Answer, NoAnswer>; AXES] {
-    std::array::from_fn(|axis| identify_axis(&config.axes[axis], axis, samples))
+    let axes = config.controlled_axes();
+    std::array::from_fn(|number| configured(config, identify_axis(&axes[number], number, samples)))
 }
 
 /// Estimates every axis from the telemetry of two motions, one run with `config`, the other with its [`weak_config`]. The
 /// second one is needed for axes in position mode.
 pub fn identify_with_weak(config: &Config, samples: &[Sample], weak: &[Sample]) -> [Result<Answer, NoAnswer>; AXES] {
+    let axes = config.controlled_axes();
     std::array::from_fn(|number| {
-        let axis = &config.axes[number];
-        match axis.mode {
+        let axis = &axes[number];
+        let answer = match axis.mode {
             AxisMode::Velocity | AxisMode::Torque => identify_axis(axis, number, samples),
             AxisMode::Position => by_position::identify_axis(axis, number, samples, weak),
-        }
+        };
+        configured(config, answer)
     })
+}
+
+/// An answer with the leads that the configuration holds: the controller adds what the exchange costs.
+fn configured(config: &Config, answer: Result<Answer, NoAnswer>) -> Result<Answer, NoAnswer> {
+    let mut answer = answer?;
+    let leads_ms = [Some(&mut answer.lead_ms), answer.position_lead_ms.as_mut()];
+    for lead_ms in leads_ms.into_iter().flatten() {
+        lead_ms.value -= config.command_delay_ms();
+        if lead_ms.value < 0.0 {
+            return Err(NoAnswer::Model);
+        }
+    }
+    Ok(answer)
 }
 
 /// Puts estimates into a configuration. `only` limits the change to one axis. Lead and feedback gain of the main axes

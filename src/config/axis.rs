@@ -114,6 +114,19 @@ impl Default for HomeSwitch {
 const DRIVE_WINDOW_SHARE: f64 = 1.5;
 
 impl Axis {
+    /// This axis where each command reaches its drive `later_ms` later than the leads say.
+    #[must_use]
+    pub fn with_later_commands(mut self, later_ms: f64) -> Self {
+        for lead_ms in [
+            &mut self.feed_forward_lead_ms,
+            &mut self.position_lead_ms,
+            &mut self.torque_lead_ms,
+        ] {
+            *lead_ms += later_ms;
+        }
+        self
+    }
+
     /// Identity required of the axis's drive.
     pub fn identity(&self) -> ExpectedIdentity {
         ExpectedIdentity {

@@ -23,6 +23,7 @@ pub use terminal::{TERMINALS_MAX, Terminal, Terminals};
 pub use pen_lift::{PenLift, PenLiftKind};
 
 use crate::ethercat::clock::Settling;
+use crate::ethercat::cyclic::ExchangeKind;
 use crate::ethercat::event::WantedValue;
 use crate::ethercat::wire::coe::Object;
 use crate::hash::fnv1a;
@@ -100,6 +101,22 @@ impl Config {
             paper: self.paper,
             motion: self.pen.within(&self.motion, &self.paper),
             dead_man_ms: self.bus.dead_man_ms,
+        }
+    }
+
+    /// The axes as the 1 ms loop controls them: with one telegram for both directions a command leaves one cycle later, which
+    /// every lead allows for.
+    #[must_use]
+    pub fn controlled_axes(&self) -> [Axis; AXES] {
+        self.axes.map(|axis| axis.with_later_commands(self.command_delay_ms()))
+    }
+
+    /// How much later than in the millisecond of its setpoint a command leaves, ms: 1 with one telegram for both directions.
+    #[must_use]
+    pub fn command_delay_ms(&self) -> f64 {
+        match self.bus.exchange {
+            ExchangeKind::Split => 0.0,
+            ExchangeKind::Combined => 1.0,
         }
     }
 

@@ -43,7 +43,7 @@ impl Coordinator<'_> {
         self.application
             .configured(config.bus.host_silence_ms, config.has_home_switches());
         self.tell_sampler(SamplerCommand::Configure {
-            axes: config.axes,
+            axes: config.controlled_axes(),
             bus: config.bus.clone(),
         });
         self.configure_io(config);

@@ -1,6 +1,5 @@
 //! A pen that an output lowers: it leaves the paper at every stop, whatever stopped the machine, and never touches by itself.
 
-use crate::again::clocks_are_on;
 use crate::robot::Robot;
 use crate::{assert_described_standstill, assert_recovers_with};
 use etherpen::application::{Fault, InputCause, Mode};
@@ -226,10 +225,8 @@ pub(crate) fn a_terminal_that_fails_while_its_pen_draws_is_a_fault_and_a_held_dr
             }
         )
     };
-    // docs/guarantees.md: a sound machine of this kind with clocks and combined exchange may stop by itself.
     let exchanges = [ExchangeKind::Split, ExchangeKind::Combined];
-    let exchanges = exchanges.into_iter().take(if clocks_are_on() { 1 } else { 2 });
-    for (speed_mm_s, exchange) in exchanges.flat_map(|kind| [(20.0, kind), (200.0, kind)]) {
+    for (speed_mm_s, exchange) in exchanges.into_iter().flat_map(|kind| [(20.0, kind), (200.0, kind)]) {
         let mut robot = drawing_with(speed_mm_s, exchange);
         robot.inject(CellFault::Deaf(TERMINAL, 500));
         let begun_ms = robot.now_ms();
