@@ -108,7 +108,8 @@ impl<'q> Control<'q> {
         // EtherCAT in UDP would wait for addresses.
         let mut bus = config.bus.clone();
         bus.transport = Transport::Raw;
-        control.order(SamplerCommand::Configure { axes: config.axes, bus });
+        let axes = config.controlled_axes();
+        control.order(SamplerCommand::Configure { axes, bus });
         // What happened at inputs is not recorded; the height of a pen that an output lifts follows from the configuration.
         control.order(SamplerCommand::ConfigureIo(IoPlaces::new(), PenSwitch::new(config)));
         control
