@@ -81,6 +81,10 @@ pub fn episode(machine: &Machine, seed: u64, profile: Profile) -> Episode {
     if machine.config.pen.kind == PenLiftKind::Axis && tilting.one_in(4) {
         tilt(&mut episode, &mut tilting);
     }
+    if Chance::new(seed ^ EXCHANGE_SEED).one_in(4) {
+        let combined = Value::String("combined".into());
+        episode.config.insert("bus.exchange".into(), combined);
+    }
     match profile {
         Profile::Terminals if machine.chain.terminals.is_empty() => with_terminals(&mut episode, machine),
         Profile::Cables => with_serial_numbers(&mut episode, machine),
@@ -432,6 +436,8 @@ const POSITION_GAIN_PER_S: f64 = 100.0;
 const POSITION_SEED: u64 = 0x0005_1710_0000;
 /// Gives the tilt of the sheet random numbers of its own.
 const TILT_SEED: u64 = 0x0711_7000_0000;
+/// Gives the choice of one telegram for both directions random numbers of its own.
+const EXCHANGE_SEED: u64 = 0x0C03_B140_0000;
 /// Steepest sheet along each side, mm for each mm.
 const TILT_MAX: f64 = 0.03;
 
@@ -441,6 +447,7 @@ mod tests {
     use crate::campaign::machine::DEFAULT_MACHINE;
     use crate::cell::SlaveKind;
     use crate::settings::machines::MACHINES;
+    use etherpen::ethercat::cyclic::ExchangeKind;
 
     fn machine(name: &str) -> Machine {
         Machine::load(name).expect("a bundled machine")
@@ -479,6 +486,18 @@ mod tests {
                 PenLiftKind::Axis => assert!(tilts > 15, "{}: {tilts} of 200", machine.name),
                 _ => assert_eq!(tilts, 0, "{}", machine.name),
             }
+        }
+    }
+
+    #[test]
+    fn both_kinds_of_exchange_are_tried_on_every_machine() {
+        for machine in MACHINES.map(|machine| self::machine(machine.name)) {
+            let combined = (0..100).filter(|seed| {
+                let config = episode(&machine, *seed, Profile::Quiet).configuration();
+                config.expect("a valid configuration").bus.exchange == ExchangeKind::Combined
+            });
+            let combined = combined.count();
+            assert!((10..50).contains(&combined), "{}: {combined} of 100", machine.name);
         }
     }
 

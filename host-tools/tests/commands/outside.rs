@@ -7,7 +7,7 @@ use host_tools::console::virtual_cell::{Firmware, VirtualCell};
 use host_tools::drawing::preparation::confined;
 use host_tools::error::code;
 use std::fs;
-use std::process::Stdio;
+use std::process::{Command, Stdio};
 
 const HEAD: &str = "<svg xmlns='http://www.w3.org/2000/svg' width='100mm' height='100mm' viewBox='0 0 100 100'>";
 
@@ -34,8 +34,19 @@ fn a_small_file_that_asks_for_terabytes_is_refused_with_its_line() {
 
 #[test]
 fn a_file_is_prepared_in_a_process_with_limits() {
+    // Those that the program itself was started with may be lower.
+    for (given, seconds) in [("", "120"), ("ulimit -t 60; ", "60")] {
+        assert_limited(given, seconds);
+    }
+}
+
+fn assert_limited(given: &str, seconds: &str) {
     let folder = Folder::new();
-    let mut process = Running::start(etherpen(&folder).arg(confined::COMMAND).stdin(Stdio::piped()));
+    let program = etherpen(&folder).get_program().to_owned();
+    let mut shell = Command::new("sh");
+    let script = format!("{given}exec \"$0\" \"$1\"");
+    shell.args(["-c", &script]).arg(program).arg(confined::COMMAND);
+    let mut process = Running::start(shell.stdin(Stdio::piped()));
     let limits = format!("/proc/{}/limits", process.id());
     let limited = |name: &str| {
         let text = fs::read_to_string(&limits).unwrap_or_default();
@@ -43,10 +54,18 @@ fn a_file_is_prepared_in_a_process_with_limits() {
         line.filter(|line| !line.contains("unlimited"))
     };
     let memory = process.wait_for("limit of its memory", |_| limited("Max address space"));
-    let time = process.wait_for("limit of its time", |_| limited("Max cpu time"));
+    let time = process.wait_for("limit of its time", |_| {
+        limited("Max cpu time").filter(|_| limited("Max core file size").is_some_and(|core| core.contains(" 0 ")))
+    });
     println!("{memory}\n{time}");
     assert!(
-        memory.contains("4294967296") && time.contains("120"),
+        memory.contains("4294967296")
+            && time
+                .split_whitespace()
+                .rev()
+                .skip(1)
+                .take(2)
+                .all(|limit| limit == seconds),
         "{memory}\n{time}"
     );
     process.press_enter();

@@ -5,7 +5,8 @@
 //! is this program with a hidden command. It gets the file's content on standard input and answers on standard output,
 //! so it needs no file permissions except for fonts.
 //!
-//! `order` and `vectorize` read their file in their own process: nothing else runs there, and they move no robot.
+//! `order`, `vectorize` and `preview --debug` read their file in their own process: nothing else runs there, and they move no
+//! robot.
 
 use super::compose::{Composed, compose_content};
 use super::source::SourceArguments;
@@ -15,7 +16,7 @@ use crate::error::{ProgramError, code};
 use etherpen::config::Config;
 use etherpen::messages::PathVertex;
 use image::RgbImage;
-use rustix::process::{Resource, Rlimit, setrlimit};
+use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use signal_hook::consts::{SIGABRT, SIGINT, SIGKILL, SIGSEGV, SIGTERM};
@@ -133,6 +134,8 @@ pub fn run() -> Result<(), ProgramError> {
         (Resource::Cpu, PROCESSOR_MAX_S),
         (Resource::Core, 0),
     ] {
+        // A process may lower its limits, but not raise them above those that it was started with.
+        let most = getrlimit(resource).maximum.map_or(most, |maximum| maximum.min(most));
         let limit = Rlimit {
             current: Some(most),
             maximum: Some(most),
