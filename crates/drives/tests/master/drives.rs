@@ -19,7 +19,7 @@ fn setup(mode: AxisMode) -> BusSetup<Drives> {
 }
 
 /// A servo drive of an unknown maker with variable process data.
-fn generic_drive() -> FakeSlave {
+pub(crate) fn generic_drive() -> FakeSlave {
     let mut slave = FakeSlave::drive();
     slave.sii[16..18].copy_from_slice(&[0x7E, 0x0E]);
     slave.objects = [

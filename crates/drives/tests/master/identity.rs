@@ -17,7 +17,7 @@ const KINDS: [IdentityProperty; 3] = [
 ];
 
 /// Four drives with the numbers 21 to 24 of a kind, and a bus that expects them in this order.
-fn numbered(kind: IdentityProperty) -> (FakeSegment, BusSetup<Drives>) {
+pub(crate) fn numbered(kind: IdentityProperty) -> (FakeSegment, BusSetup<Drives>) {
     let (mut segment, mut setup) = (FakeSegment::drives(4), setup());
     for (number, (slave, drive)) in (21_u16..).zip(segment.slaves.iter_mut().zip(&mut setup.settings)) {
         let expected = &mut drive.identity;

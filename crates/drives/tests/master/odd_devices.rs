@@ -1,10 +1,13 @@
 //! Devices that behave as real ones do: without a processor, slow to start, with few units or a blank memory.
 
+use super::drives::generic_drive;
 use super::fake::{FakeSegment, FakeSlave};
+use super::identity::numbered;
 use super::rig::{Next, run, run_with, setup};
 use etherpen_ethercat::cyclic::ExchangeKind;
-use etherpen_ethercat::error::BusError;
+use etherpen_ethercat::error::{BusError, IdentityProperty};
 use etherpen_ethercat::event::{BusEvent, BusSetup, Step};
+use etherpen_ethercat::slave_set::SlaveSet;
 use etherpen_ethercat::wire::coe::Object;
 use etherpen_ethercat::wire::register;
 
@@ -75,6 +78,62 @@ fn a_drive_whose_processor_starts_up_is_waited_for_and_named() {
 }
 
 #[test]
+fn a_drive_that_only_its_device_type_tells_is_waited_for_as_well() {
+    let mut segment = FakeSegment::drives(4);
+    segment.slaves[2] = generic_drive();
+    segment.slaves[2].boots = 10_000;
+    let (log, states, last_ms) = brought_up(segment);
+    assert_eq!((refusals(&log), states), (Vec::new(), vec![8; 4]));
+    assert!((10_000..13_000).contains(&last_ms), "{last_ms} ms");
+    assert!(log.iter().any(|event| is_waiting_for(event, 2)), "{log:?}");
+}
+
+#[test]
+fn drives_are_waited_for_when_their_switches_are_asked_for() {
+    let (mut segment, setup) = numbered(IdentityProperty::Switch);
+    segment.slaves[1].boots = 10_000;
+    let (mut told, mut begun_ms) = (false, None);
+    run_with(
+        setup,
+        segment,
+        |_| false,
+        |now_ms, _, events| {
+            assert_eq!(refusals(events), []);
+            told |= events.iter().any(|event| {
+                matches!(
+                    event,
+                    BusEvent::Waiting {
+                        position: 1,
+                        step: Step::Identify,
+                        ..
+                    }
+                )
+            });
+            begun_ms = begun_ms.or(events.contains(&BusEvent::Operational).then_some(now_ms));
+            match begun_ms {
+                Some(_) => Next::Done,
+                None => Next::On,
+            }
+        },
+    );
+    assert!(
+        told && begun_ms.is_some_and(|ms| (9_000..13_000).contains(&ms)),
+        "{begun_ms:?}"
+    );
+}
+
+#[test]
+fn an_unused_slave_that_hangs_costs_the_others_a_few_seconds_only() {
+    let mut segment = FakeSegment::drives(4);
+    let mut hanging = generic_drive();
+    hanging.boots = u32::MAX;
+    segment.slaves.insert(0, hanging);
+    let (log, states, last_ms) = brought_up(segment);
+    assert_eq!((refusals(&log), &states[1..]), (Vec::new(), &[8; 4][..]));
+    assert!(last_ms < 7_000, "{last_ms} ms");
+}
+
+#[test]
 fn a_drive_that_never_reads_its_requests_is_refused_after_a_while() {
     let mut segment = FakeSegment::drives(4);
     segment.slaves[1].boots = u32::MAX;
@@ -114,6 +173,78 @@ fn a_blank_memory_of_an_unused_slave_stops_nobody() {
     segment.slaves.insert(1, blank);
     let (log, states, _) = brought_up(segment);
     assert_eq!((refusals(&log), states), (Vec::new(), vec![8, 1, 8, 8, 8]));
+}
+
+#[test]
+fn a_terminal_with_a_blank_memory_or_a_long_mailbox_is_refused_alone() {
+    let blank = |slave: &mut FakeSlave| slave.sii.fill(0xFF);
+    let long = |slave: &mut FakeSlave| {
+        for word in [0x19, 0x1B] {
+            slave.sii[word * 2..][..2].copy_from_slice(&1_486_u16.to_le_bytes());
+        }
+    };
+    for spoil in [blank as fn(&mut FakeSlave), long] {
+        for named in [SlaveSet::of(1), SlaveSet::ALL] {
+            let mut segment = FakeSegment::drives(4);
+            let mut odd = FakeSlave::drive();
+            odd.sii[20..24].copy_from_slice(&0x044C_2C52_u32.to_le_bytes());
+            spoil(&mut odd);
+            segment.slaves.insert(1, odd);
+            let setup = BusSetup {
+                terminals: named,
+                ..setup()
+            };
+            let (mut is_refused, mut refused) = (false, Vec::new());
+            run_with(
+                setup,
+                segment,
+                |_| false,
+                |_, bench, events| {
+                    refused.extend(refusals(events));
+                    is_refused |= events
+                        .iter()
+                        .any(|event| matches!(event, BusEvent::TerminalRefused { position: 1, .. }));
+                    let states = bench.segment.states();
+                    match [0, 2, 3, 4].iter().all(|place| states[*place] == 8) && is_refused {
+                        true => Next::Done,
+                        false => Next::On,
+                    }
+                },
+            );
+            assert_eq!(refused, []);
+        }
+    }
+}
+
+#[test]
+fn all_units_of_a_large_controller_are_cleared() {
+    let mut segment = FakeSegment::drives(4);
+    let (fmmus, managers) = (0x0600..0x0600 + 8 * 16, 0x0800..0x0800 + 8 * 8);
+    for slave in &mut segment.slaves {
+        slave.memory[fmmus.clone()].fill(0x55);
+        slave.memory[managers.clone()].fill(0x55);
+    }
+    run(
+        segment,
+        |_| false,
+        |_, bench, events| {
+            assert_eq!(refusals(events), []);
+            if !events.contains(&BusEvent::Operational) {
+                return Next::On;
+            }
+            for slave in &bench.segment.slaves {
+                for number in 4..8 {
+                    assert_eq!(slave.memory[0x0600 + 16 * number..][..16], [0; 16], "FMMU {number}");
+                    assert_eq!(
+                        slave.memory[0x0800 + 8 * number..][..8],
+                        [0; 8],
+                        "sync manager {number}"
+                    );
+                }
+            }
+            Next::Done
+        },
+    );
 }
 
 #[test]
@@ -223,16 +354,26 @@ fn with_flags(slave: &mut FakeSlave, flags: u8) {
 }
 
 #[test]
-fn inputs_and_outputs_travel_apart_if_a_drive_does_not_support_them_together() {
-    for (flags, expected) in [(0, ExchangeKind::Combined), (1 << 1, ExchangeKind::Split)] {
+fn inputs_and_outputs_travel_apart_if_a_slave_in_use_does_not_support_them_together() {
+    let (together, apart) = (ExchangeKind::Combined, ExchangeKind::Split);
+    // The place of the slave with the flags, the places of terminals, and what results.
+    let cases = [
+        (3, 0, SlaveSet::NONE, together),
+        (3, 1 << 1, SlaveSet::NONE, apart),
+        (4, 1 << 1, SlaveSet::of(4), apart),
+        (4, 1 << 1, SlaveSet::NONE, together),
+    ];
+    for (place, flags, terminals, expected) in cases {
         let mut segment = FakeSegment::drives(4);
+        segment.slaves.push(terminal());
         for slave in &mut segment.slaves {
             with_flags(slave, 0);
         }
-        segment.slaves[3].sii.truncate(128);
-        with_flags(&mut segment.slaves[3], flags);
+        segment.slaves[place].sii.truncate(128);
+        with_flags(&mut segment.slaves[place], flags);
         let setup = BusSetup {
             exchange: ExchangeKind::Combined,
+            terminals,
             ..setup()
         };
         run_with(

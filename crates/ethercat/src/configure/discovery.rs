@@ -17,8 +17,10 @@ use heapless::Vec;
 pub const STATION_BASE: u16 = 0x1001;
 /// Station address of a slave while it is being identified.
 pub const STATION_TEMPORARY: u16 = 0x1000;
-/// Sync managers and FMMUs that are cleared at the start.
+/// Sync managers and FMMUs that are cleared together at the start; few controllers have less.
 const CLEARED: u8 = 4;
+/// Sync managers and FMMUs of a large controller, in which another master may have left some.
+const UNITS_MAX: u8 = 8;
 
 /// Brings all slaves to INIT without any configuration; resets the error counters, the aliases' use as addresses and
 /// the control of the ports.
@@ -45,10 +47,13 @@ pub async fn reset_all<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>
         }
     }
     port.broadcast_write(register::STATION_ADDRESS, &[0; 2]).await?;
-    port.broadcast_write(register::FMMU, &[0; CLEARED as usize * FMMU_LEN])
-        .await?;
-    port.broadcast_write(register::SYNC_MANAGER, &[0; CLEARED as usize * SYNC_MANAGER_LEN])
-        .await?;
+    // Apart: a controller without the second part may not take both at once.
+    for first in (0..UNITS_MAX).step_by(CLEARED.into()) {
+        port.broadcast_write(register::fmmu(first), &[0; CLEARED as usize * FMMU_LEN])
+            .await?;
+        port.broadcast_write(register::sync_manager(first), &[0; CLEARED as usize * SYNC_MANAGER_LEN])
+            .await?;
+    }
     port.broadcast_write(register::DC_CYCLIC_CONTROL, &[0; 2]).await?;
     port.broadcast_write(register::RECEIVE_ERRORS, &[0; register::ERROR_COUNTERS_LEN])
         .await?;

@@ -20,8 +20,8 @@ use super::super::slave_set::SlaveSet;
 use super::super::state::{self, AlReport, AlState};
 use super::super::wire::sii::PROTOCOL_COE;
 use super::super::wire::{Address, Command, register, sii};
+use super::Failure;
 use super::bus::Bus;
-use super::{Failure, identity};
 
 /// Longest wait for the expected number of slaves, ms.
 pub const DISCOVERY_TIMEOUT_MS: u32 = 3_000;
@@ -52,11 +52,12 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             .await
             .map_err(Failure::bus(Step::Reset))?;
         let unread = self.identify_all(found).await?;
-        for slave in self.slaves.iter_mut().filter(|slave| slave.device.is_none()) {
-            // One that does not answer has no driver until it is asked again.
-            slave.device = identity::ask_device_type(&mut self.port, slave).await.ok().flatten();
+        self.ask_device_types().await;
+        let mut chosen = self.choose_members();
+        if chosen.is_err() && self.await_device_types().await {
+            chosen = self.choose_members();
         }
-        if let Err(error) = self.choose_members() {
+        if let Err(error) = chosen {
             // A member may be missing because it could not be read.
             return Err(unread.unwrap_or(Failure::bus(Step::Identify)(error)));
         }
@@ -68,15 +69,18 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         Ok(())
     }
 
-    /// Exchanges inputs and outputs apart if they are to travel together, but a member does not support LRW.
+    /// Exchanges inputs and outputs apart if they are to travel together, but a slave in use does not support LRW.
     async fn choose_exchange(&mut self) -> Result<(), Failure> {
         if self.setup.exchange != ExchangeKind::Combined {
             return Ok(());
         }
         let Self { port, slaves, .. } = self;
-        for slave in slaves.iter().filter(|slave| slave.member.is_some()) {
-            let flags = information::general_flags(port, slave.station()).await;
-            let flags = flags.map_err(Failure::of(slave.position, Step::Identify))?;
+        for slave in slaves.iter().filter(|slave| slave.is_used()) {
+            let flags = match information::general_flags(port, slave.station()).await {
+                // A terminal that cannot be read is refused later, alone.
+                Err(_) if slave.is_terminal => continue,
+                flags => flags.map_err(Failure::of(slave.position, Step::Identify))?,
+            };
             if flags & sii::FLAG_NO_LRW != 0 {
                 self.exchange = ExchangeKind::Split;
                 return Ok(());
@@ -234,30 +238,45 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
 
     /// Takes a slave to a state, from the state before it or from a higher one. While the slave's processor does not read
     /// the request, the application is told what this waits for, and a controller without its configuration loads it.
-    async fn change_state(&mut self, number: usize, target: AlState, step: Step) -> Result<(), Failure> {
-        let Some(position) = self.slaves.get(number).map(|slave| slave.position) else {
+    pub(super) async fn change_state(&mut self, number: usize, target: AlState, step: Step) -> Result<(), Failure> {
+        let Some(slave) = self.slaves.get(number) else {
             return Ok(());
         };
-        let (station, started_ms) = (STATION_BASE.wrapping_add(position), self.port.now_ms());
+        let (position, station, started_ms) = (slave.position, slave.station(), self.port.now_ms());
         loop {
-            let result = state::change(&mut self.port, station, target).await;
-            let failure = match result {
+            match state::change(&mut self.port, station, target).await {
                 Ok(()) => return Ok(()),
-                Err(error) => Failure::of(position, step)(error),
-            };
-            let waited_ms = self.port.now_ms().wrapping_sub(started_ms);
-            if !matches!(failure.error, BusError::RequestUnread { .. }) || waited_ms > UNREAD_TIMEOUT_MS {
-                return Err(failure);
+                Err(error) => self.wait_on(position, station, step, started_ms, error).await?,
             }
-            let position = position as u8;
-            self.emit(BusEvent::Waiting {
-                position,
-                step,
-                waited_ms,
-            })
-            .await;
-            information::load_again(&mut self.port, station).await;
         }
+    }
+
+    /// Goes on if an error says that the processor of a slave has not read a request yet: the application is told what this
+    /// waits for, and a controller without its configuration loads it.
+    ///
+    /// # Errors
+    /// The error, if it is another one, or after [`UNREAD_TIMEOUT_MS`].
+    pub(super) async fn wait_on(
+        &mut self,
+        position: u16,
+        station: u16,
+        step: Step,
+        started_ms: u32,
+        error: BusError,
+    ) -> Result<(), Failure> {
+        let waited_ms = self.port.now_ms().wrapping_sub(started_ms);
+        if !matches!(error, BusError::RequestUnread { .. }) || waited_ms > UNREAD_TIMEOUT_MS {
+            return Err(Failure::of(position, step)(error));
+        }
+        let position = position as u8;
+        self.emit(BusEvent::Waiting {
+            position,
+            step,
+            waited_ms,
+        })
+        .await;
+        information::load_again(&mut self.port, station).await;
+        Ok(())
     }
 
     /// Takes a slave from any state through INIT to PREOP with its mailbox set up, if it has one.

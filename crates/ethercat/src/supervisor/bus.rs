@@ -247,14 +247,14 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         }
     }
 
-    /// The longest mailbox of the slaves in use, bytes.
+    /// The longest mailbox of the slaves in use, bytes. A slave with a longer one than this master takes is refused alone.
     fn longest_message(&self) -> u16 {
         let used = self.slaves.iter().filter(|slave| slave.is_used());
-        let windows = used.map(|slave| {
-            let (out, input) = (slave.fixed.mailbox_out.length, slave.fixed.mailbox_in.length);
-            out.max(input)
-        });
-        windows.max().unwrap_or(0)
+        let windows = used.flat_map(|slave| [slave.fixed.mailbox_out.length, slave.fixed.mailbox_in.length]);
+        windows
+            .filter(|length| usize::from(*length) <= MESSAGE)
+            .max()
+            .unwrap_or(0)
     }
 
     /// Fails if the slaves' process data leave no room in the frames for the longest mailbox of those in use.

@@ -7,7 +7,6 @@
 //! Invariant: a slave that differs from what is expected at its place is not used; the refusal names the place, and the
 //! other one if the slave there is the expected one, or the slave here is expected there.
 
-use super::super::acyclic::AcyclicPort;
 use super::super::coe::{DEVICE_TYPE, ObjectDictionary};
 use super::super::configure::identification::{self, ExpectedIdentity, KnownIdentity};
 use super::super::configure::{discovery, information};
@@ -39,20 +38,79 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let Some(slave) = self.slaves.get(number).filter(is_unknown) else {
             return Ok(());
         };
-        let at = Failure::of(slave.position, Step::Identify);
-        let device = match ask_device_type(&mut self.port, slave).await {
-            Ok(Some(device)) => Ok(device),
-            Ok(None) => Err(BusError::MemberCount {
-                expected: self.setup.members,
-                actual: self.setup.members.saturating_sub(1),
-            }),
-            Err(error) => Err(error),
+        let position = slave.position;
+        let missing = BusError::MemberCount {
+            expected: self.setup.members,
+            actual: self.setup.members.saturating_sub(1),
         };
-        let device = device.map_err(at)?;
+        let asked = self.ask_device_type(number, true).await;
+        let device = asked
+            .and_then(|device| device.ok_or(missing))
+            .map_err(Failure::of(position, Step::Identify))?;
         if let Some(slave) = self.slaves.get_mut(number) {
             slave.device = Some(device);
         }
         Ok(())
+    }
+
+    /// Asks the slaves without a driver for their device types. One that does not answer has none until it is asked again.
+    pub(super) async fn ask_device_types(&mut self) {
+        for number in 0..self.slaves.len() {
+            let device = self.ask_device_type(number, false).await.ok().flatten();
+            if let Some(slave) = self.slaves.get_mut(number).filter(|slave| slave.device.is_none()) {
+                slave.device = device;
+            }
+        }
+    }
+
+    /// Asks them again, and waits for processors that still start up. Returns whether a driver was found.
+    pub(super) async fn await_device_types(&mut self) -> bool {
+        let mut is_found = false;
+        for number in 0..self.slaves.len() {
+            if let Ok(Some(device)) = self.ask_device_type(number, true).await
+                && let Some(slave) = self.slaves.get_mut(number)
+            {
+                (slave.device, is_found) = (Some(device), true);
+            }
+        }
+        is_found
+    }
+
+    /// Asks a slave without a driver for its device type, and leaves the slave in INIT; `None` if there is no driver for it.
+    /// `is_patient` waits for a processor that still starts up.
+    ///
+    /// # Errors
+    /// The slave does not go to PREOP, or does not answer.
+    async fn ask_device_type(&mut self, number: usize, is_patient: bool) -> Result<Option<F::Device>, BusError> {
+        let is_asked = |slave: &&Slave<F>| slave.device.is_none() && is_asked_for_device_type::<F>(&slave.fixed);
+        let Some(slave) = self.slaves.get(number).filter(is_asked) else {
+            return Ok(None);
+        };
+        let (station, fixed, target) = (slave.station(), slave.fixed, AlState::PreOperational);
+        let mut mailbox = Mailbox::new::<MESSAGE>(station, fixed.mailbox_out, fixed.mailbox_in)?;
+        discovery::mailbox_managers(&mut self.port, station, &fixed).await?;
+        information::give_to_slave(&mut self.port, station).await;
+        let reached = match is_patient {
+            true => {
+                let reached = self.change_state(number, target, Step::PreOperational).await;
+                reached.map_err(|failure| failure.error)
+            }
+            false => state::change(&mut self.port, station, target).await,
+        };
+        let device_type = match reached {
+            Ok(()) => {
+                ObjectDictionary::new(&mut self.port, &mut mailbox)
+                    .read(DEVICE_TYPE, 4)
+                    .await
+            }
+            // There is no way back from where it did not go.
+            Err(unread @ BusError::RequestUnread { .. }) => return Err(unread),
+            Err(error) => Err(error),
+        };
+        // A slave that does not return to INIT is detected when it is used.
+        let _ = state::change(&mut self.port, station, AlState::Init).await;
+        information::take(&mut self.port, station).await;
+        device_type.map(F::by_device_type)
     }
 
     /// Reads what tells the slaves in use apart, and compares all members with what is expected of them.
@@ -66,7 +124,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 continue;
             };
             let (position, station, identity) = (slave.position, slave.station(), slave.identity());
-            let known = match self.known(station, identity).await {
+            let known = match self.known(number, station, identity).await {
                 Ok(known) => known,
                 Err(error) if is_member(&self.slaves, number) => {
                     return Err(Failure::of(position, Step::Identify)(error));
@@ -104,7 +162,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         if self.expected(&slave).is_any() {
             return Ok(unread);
         }
-        let known = self.known(station, identity).await?;
+        let known = self.known(number, station, identity).await?;
         self.compare(&slave, &known)?;
         Ok(known)
     }
@@ -125,7 +183,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     }
 
     /// Reads what the members' expectations compare.
-    async fn known(&mut self, station: u16, identity: Identity) -> Result<KnownIdentity, BusError> {
+    async fn known(&mut self, number: usize, station: u16, identity: Identity) -> Result<KnownIdentity, BusError> {
         let aliases = self.slaves.iter().any(|slave| self.expected(slave).alias != 0);
         let switches = self.compares_switches();
         let mut known = KnownIdentity {
@@ -136,10 +194,27 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             known.alias = identification::alias(&mut self.port, station).await?;
         }
         if switches {
-            state::acknowledge(&mut self.port, station).await?;
-            known.switch = state::switch(&mut self.port, station).await?;
+            known.switch = self.switch(number, station).await?;
         }
         Ok(known)
+    }
+
+    /// Asks for the number of the switches of the slave at a station address, at a slave's place, and waits for a processor
+    /// that still starts up.
+    async fn switch(&mut self, number: usize, station: u16) -> Result<u16, BusError> {
+        let (position, started_ms) = (number as u16, self.port.now_ms());
+        loop {
+            let asked = match state::acknowledge(&mut self.port, station).await {
+                Ok(_) => state::switch(&mut self.port, station).await,
+                Err(error) => Err(error),
+            };
+            let error = match asked {
+                Ok(switch) => return Ok(switch),
+                Err(error) => error,
+            };
+            let waited = self.wait_on(position, station, Step::Identify, started_ms, error).await;
+            waited.map_err(|failure| failure.error)?;
+        }
     }
 
     /// Whether the switches of any member are compared.
@@ -186,30 +261,4 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
 
 fn is_member<F: SlaveFactory>(slaves: &[Slave<F>], number: usize) -> bool {
     slaves.get(number).is_some_and(|slave| slave.member.is_some())
-}
-
-/// Asks a slave with an unknown product for its device type, and leaves the slave in INIT; `None` if there is no driver
-/// for it.
-///
-/// # Errors
-/// The slave does not go to PREOP, or does not answer.
-pub(super) async fn ask_device_type<F: SlaveFactory, const MESSAGE: usize>(
-    port: &mut AcyclicPort<'_, MESSAGE>,
-    slave: &Slave<F>,
-) -> Result<Option<F::Device>, BusError> {
-    if !is_asked_for_device_type::<F>(&slave.fixed) {
-        return Ok(None);
-    }
-    let station = slave.station();
-    let mut mailbox = Mailbox::new::<MESSAGE>(station, slave.fixed.mailbox_out, slave.fixed.mailbox_in)?;
-    discovery::mailbox_managers(port, station, &slave.fixed).await?;
-    information::give_to_slave(port, station).await;
-    let device_type = match state::change(port, station, AlState::PreOperational).await {
-        Ok(()) => ObjectDictionary::new(port, &mut mailbox).read(DEVICE_TYPE, 4).await,
-        Err(error) => Err(error),
-    };
-    // A slave that does not return to INIT is detected when it is used.
-    let _ = state::change(port, station, AlState::Init).await;
-    information::take(port, station).await;
-    device_type.map(F::by_device_type)
 }
