@@ -68,12 +68,12 @@ pub static AKD: DriveDescription = DriveDescription {
 };
 
 /// Settings of any drive, in position mode after the scale of the positions.
-fn settings(axis: &DriveSettings) -> Option<SettingList> {
+fn settings(axis: &DriveSettings, cycle_ns: u32) -> Option<SettingList> {
     let mut settings = SettingList::new();
     if axis.mode == AxisMode::Position {
         settings.extend_from_slice(&scale(axis)?).ok()?;
     }
-    for setting in &generic::settings(axis)? {
+    for setting in &generic::settings(axis, cycle_ns)? {
         // Between two targets the drive interpolates for this time: with another period it would not move as it is told.
         let is_read_back = axis.mode == AxisMode::Position && setting.object.index == generic::INTERPOLATION_PERIOD;
         let setting = if is_read_back { setting.verified() } else { *setting };
@@ -107,15 +107,15 @@ mod tests {
             ..DriveSettings::default()
         };
         let scales = |axis: &DriveSettings| {
-            let settings = settings(axis).unwrap();
+            let settings = settings(axis, 1_000_000).unwrap();
             settings.iter().any(|setting| setting.object == BUS_OPTIONS)
         };
         assert!(!scales(&axis));
         axis.mode = AxisMode::Position;
         assert!(scales(&axis));
-        let feed = settings(&axis).unwrap()[2];
+        let feed = settings(&axis, 1_000_000).unwrap()[2];
         assert_eq!((feed.object, feed.value), (Object::new(0x6092, 1), 1 << 19));
         axis.increments_per_revolution = 0;
-        assert_eq!(settings(&axis), None);
+        assert_eq!(settings(&axis, 1_000_000), None);
     }
 }

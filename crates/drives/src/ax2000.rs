@@ -10,7 +10,7 @@
 
 use super::{
     CONTROL_WORD, Clocks, Digits, DriveDescription, DriveSettings, ModeDescription, POSITION, QUICK_STOP_DECELERATION,
-    Recognition, STATUS_WORD, SettingList, TORQUE, quick_stop_increments_s2,
+    Recognition, STATUS_WORD, SettingList, TORQUE, generic, quick_stop_increments_s2,
 };
 use etherpen_ethercat::driver::{Entry, PdoChoice, Setting, Windows};
 use etherpen_ethercat::wire::coe::Object;
@@ -58,12 +58,12 @@ pub static AX2000: DriveDescription = DriveDescription {
     settings,
 };
 
-fn settings(axis: &DriveSettings) -> Option<SettingList> {
+fn settings(axis: &DriveSettings, cycle_ns: u32) -> Option<SettingList> {
     let quick_stop = quick_stop_increments_s2(axis)?;
+    let [number, exponent] = generic::interpolation_period(cycle_ns)?;
     let list = [
-        // Interpolation period: 1 times 10^-3 s.
-        Setting::new(0x60C2, 1, 1, 1),
-        Setting::new(0x60C2, 2, -3_i32 as u32, 1),
+        number,
+        exponent,
         Setting::of(QUICK_STOP_DECELERATION, quick_stop, 4).rounded(),
     ];
     SettingList::from_slice(&list).ok()
@@ -92,6 +92,6 @@ mod tests {
             quick_stop_rad_s2: 1.0e9,
             ..DriveSettings::default()
         };
-        assert_eq!(settings(&axis), None);
+        assert_eq!(settings(&axis, 1_000_000), None);
     }
 }

@@ -5,6 +5,7 @@
 //!
 //! Invariant: the layout follows the actual lists of the drive; a missing value and a wrong mode are always detected.
 
+use crate::generic;
 use crate::layout::LayoutBuilder;
 use crate::layout::ProcessLayout;
 use crate::{
@@ -14,6 +15,7 @@ use crate::{
 use etherpen_ethercat::configure::PreOperational;
 use etherpen_ethercat::driver::{Direction, ProcessData, Setting, SlaveFactory};
 use etherpen_ethercat::error::BusError;
+use etherpen_ethercat::wire::coe::Object;
 
 /// Longest wait in OP for the mode that was set, ms.
 const MODE_TIMEOUT_MS: u32 = 500;
@@ -34,8 +36,11 @@ pub(crate) async fn used<F: SlaveFactory<Layout = ProcessLayout>, const MESSAGE:
 ) -> Result<ProcessData<F>, BusError> {
     let object = OPERATION_MODE;
     let mode = kind.mode(drive.mode).ok_or(BusError::Range { object })?;
-    let object = QUICK_STOP_DECELERATION;
-    let settings = (kind.settings)(drive).ok_or(BusError::Range { object })?;
+    let object = match generic::interpolation_period(slave.cycle_ns()) {
+        Some(_) => QUICK_STOP_DECELERATION,
+        None => Object::new(generic::INTERPOLATION_PERIOD, 1),
+    };
+    let settings = (kind.settings)(drive, slave.cycle_ns()).ok_or(BusError::Range { object })?;
 
     let outputs_taken = slave.assign(Direction::Outputs, &mode.outputs).await?;
     let inputs_taken = slave.assign(Direction::Inputs, &mode.inputs).await?;

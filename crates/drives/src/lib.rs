@@ -253,8 +253,9 @@ pub struct DriveDescription {
     pub windows: Windows,
     /// Use of the distributed clocks if the SII does not describe it.
     pub clocks: Clocks,
-    /// Settings for an axis, written in PREOP; `None` when a value does not fit the drive's object.
-    pub settings: fn(&DriveSettings) -> Option<SettingList>,
+    /// Settings for an axis on a bus with a cycle in ns, written in PREOP; `None` when a value does not fit the drive's
+    /// object.
+    pub settings: fn(&DriveSettings, u32) -> Option<SettingList>,
 }
 
 impl DriveDescription {

@@ -188,6 +188,42 @@ fn position_writes_the_period_and_the_window_and_gives_the_target_and_the_veloci
     });
 }
 
+#[test]
+fn the_period_that_a_drive_is_told_is_the_cycle_of_the_bus() {
+    for (cycle_ns, expected) in [
+        (250_000, Some((25, 0xFB))),
+        (10_000_000, Some((10, 0xFD))),
+        (333_000, None),
+    ] {
+        let setup = BusSetup {
+            cycle_ns,
+            ..setup(AxisMode::Position)
+        };
+        run_with(
+            setup,
+            segment(position_drive),
+            |_| false,
+            |_, bench, events| {
+                for event in events {
+                    if let BusEvent::Refused { error, .. } = event {
+                        let object = Object::new(0x60C2, 1);
+                        assert_eq!((*error, expected), (BusError::Range { object }, None), "{cycle_ns} ns");
+                        return Next::Done;
+                    }
+                }
+                if !events.contains(&BusEvent::Operational) {
+                    return Next::On;
+                }
+                for slave in &bench.segment.slaves {
+                    let told = (slave.objects[&(0x60C2, 1)][0], slave.objects[&(0x60C2, 2)][0]);
+                    assert_eq!(Some(told), expected, "{cycle_ns} ns");
+                }
+                Next::Done
+            },
+        );
+    }
+}
+
 /// An AKD whose owner has set these options of its fieldbus.
 fn akd_with_options(options: u32) -> FakeSlave {
     let mut slave = position_drive();

@@ -66,11 +66,27 @@ pub struct PreOperational<'p, 'q, const MESSAGE: usize> {
     port: &'p mut AcyclicPort<'q, MESSAGE>,
     station: u16,
     mailbox: &'p mut Mailbox,
+    cycle_ns: u32,
 }
 
 impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
-    pub(crate) fn new(port: &'p mut AcyclicPort<'q, MESSAGE>, station: u16, mailbox: &'p mut Mailbox) -> Self {
-        Self { port, station, mailbox }
+    pub(crate) fn new(
+        port: &'p mut AcyclicPort<'q, MESSAGE>,
+        station: u16,
+        mailbox: &'p mut Mailbox,
+        cycle_ns: u32,
+    ) -> Self {
+        Self {
+            port,
+            station,
+            mailbox,
+            cycle_ns,
+        }
+    }
+
+    /// Period of the cyclic exchange, ns.
+    pub fn cycle_ns(&self) -> u32 {
+        self.cycle_ns
     }
 
     /// The slave's object dictionary.

@@ -338,7 +338,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         if slave.has_own_data() {
             self.find_own_data(number).await.map_err(at(Step::Objects))?;
         } else if let Some(device) = slave.device {
-            let mut there = PreOperational::new(port, station, &mut slave.mailbox);
+            let mut there = PreOperational::new(port, station, &mut slave.mailbox, self.setup.cycle_ns);
             let configured = F::configure(&self.setup.settings, device, slave.member, &mut there, twin.as_ref());
             if let Some(data) = configured.await.map_err(at(Step::Objects))? {
                 slave.process_data = Some(data);
@@ -464,7 +464,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return Ok(());
         };
         let station = slave.station();
-        let mut there = PreOperational::new(port, station, &mut slave.mailbox);
+        let mut there = PreOperational::new(port, station, &mut slave.mailbox, setup.cycle_ns);
         F::confirm(&setup.settings, device, member, &mut there, &data).await
     }
 
