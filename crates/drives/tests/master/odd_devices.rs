@@ -217,6 +217,53 @@ fn a_terminal_with_a_blank_memory_or_a_long_mailbox_is_refused_alone() {
 }
 
 #[test]
+fn a_slave_with_objects_whose_memory_lists_no_sync_managers_exchanges_what_its_objects_list() {
+    let mut segment = FakeSegment::drives(4);
+    let mut slave = FakeSlave::drive();
+    slave.sii[20..24].copy_from_slice(&0x044C_2C52_u32.to_le_bytes());
+    // Nine process data objects of a byte each for the inputs, one of two bytes for the outputs.
+    slave.objects.insert((0x1701, 0), vec![1]);
+    slave
+        .objects
+        .insert((0x1701, 1), 0x7000_0110_u32.to_le_bytes().to_vec());
+    slave.objects.insert((0x1C13, 0), vec![9]);
+    for number in 1..=9_u16 {
+        let pdo = 0x1A00 + number;
+        slave.objects.insert((0x1C13, number as u8), pdo.to_le_bytes().to_vec());
+        slave.objects.insert((pdo, 0), vec![1]);
+        slave.objects.insert(
+            (pdo, 1),
+            (0x6000_0108 + (u32::from(number) << 16)).to_le_bytes().to_vec(),
+        );
+    }
+    segment.slaves.push(slave);
+    let setup = BusSetup {
+        terminals: SlaveSet::of(4),
+        ..setup()
+    };
+    run_with(
+        setup,
+        segment,
+        |_| false,
+        |_, bench, events| {
+            assert_eq!(refusals(events), []);
+            if bench.segment.states() != [8; 5] {
+                return Next::On;
+            }
+            let slave = &bench.segment.slaves[4];
+            let (outputs, inputs) = (slave.manager(2), slave.manager(3));
+            assert_eq!(
+                (outputs.start, outputs.length, inputs.start, inputs.length),
+                (0x1100, 2, 0x1400, 9)
+            );
+            let share = &bench.exchange.plan().slaves[4];
+            assert_eq!((share.output_length, share.input_length), (2, 9));
+            Next::Done
+        },
+    );
+}
+
+#[test]
 fn all_units_of_a_large_controller_are_cleared() {
     let mut segment = FakeSegment::drives(4);
     let (fmmus, managers) = (0x0600..0x0600 + 8 * 16, 0x0800..0x0800 + 8 * 8);

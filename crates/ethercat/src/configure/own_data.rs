@@ -1,7 +1,7 @@
 //! A slave's own process data: what it exchanges without a driver, and which sync managers carry it.
 //!
-//! The SII lists the sync managers (ETG.2010, category 41); terminals without a mailbox begin with sync manager 0. What
-//! a sync manager carries is listed by CoE (0x1C10 + its number names the process data objects assigned to it), or by the
+//! The SII lists the sync managers (ETG.2010, category 41); terminals without a mailbox begin with sync manager 0. Where that
+//! list is missing, a slave with CoE has sync managers 2 and 3, as ETG.1000.6 numbers them. What a sync manager carries is listed by CoE (0x1C10 + its number names the process data objects assigned to it), or by the
 //! SII for slaves without CoE and for lists that are missing there. The data of a direction lie in the order of its
 //! sync managers, those of each from a whole byte on.
 //!
@@ -9,14 +9,14 @@
 
 use super::information::{self, read_words};
 use super::objects::{Direction, Entry};
-use super::pre_operational::{ENTRIES_MAX, PDOS_MAX, read_list, sii_entries};
+use super::pre_operational::{ENTRIES_MAX, read_list, sii_entries};
 use crate::acyclic::AcyclicPort;
 use crate::coe::ObjectDictionary;
 use crate::error::BusError;
 use crate::mailbox::Mailbox;
 use crate::wire::coe::Object;
+use crate::wire::register;
 use crate::wire::sii::{self, PdoRecord, Record, SyncManagerRecord, SyncManagerUse};
-use heapless::Vec;
 
 /// Most sync managers of a slave that carry process data.
 pub const DATA_MANAGERS_MAX: usize = 3;
@@ -26,6 +26,26 @@ const MANAGERS_MAX: u16 = 16;
 const OUTPUTS_START: u16 = 0x0F00;
 /// Object that lists the process data objects of sync manager 0; those of the others follow.
 const ASSIGNMENT: u16 = 0x1C10;
+
+/// The sync managers of a slave with CoE whose SII does not list them: behind those of the mailbox.
+const UNLISTED: [SyncManagerRecord; 4] = {
+    const fn manager(start: u16, control: u8, usage: SyncManagerUse) -> SyncManagerRecord {
+        SyncManagerRecord {
+            start,
+            length: 0,
+            control,
+            status: 0,
+            flags: 0,
+            usage,
+        }
+    }
+    [
+        manager(0, 0, SyncManagerUse::MailboxOut),
+        manager(0, 0, SyncManagerUse::MailboxIn),
+        manager(0x1100, register::CONTROL_OUTPUTS, SyncManagerUse::Outputs),
+        manager(0x1400, register::CONTROL_INPUTS, SyncManagerUse::Inputs),
+    ]
+};
 
 /// A sync manager that carries process data.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -132,15 +152,24 @@ pub async fn find<const MESSAGE: usize>(
     mut take: impl FnMut(Direction, u16, Entry),
 ) -> Result<OwnData, BusError> {
     let mut data = OwnData::default();
-    let Some(category) = information::find_category(port, station, sii::CATEGORY_SYNC_MANAGER).await? else {
-        return Ok(data);
-    };
+    let listed = information::find_category(port, station, sii::CATEGORY_SYNC_MANAGER).await?;
     let words = (SyncManagerRecord::LEN / 2) as u16;
+    let managers = match listed {
+        Some(category) => (category.words / words).min(MANAGERS_MAX),
+        None if mailbox.is_some() => UNLISTED.len() as u16,
+        None => 0,
+    };
     let mut used = 0;
-    for number in 0..(category.words / words).min(MANAGERS_MAX) {
-        let mut bytes = [0; SyncManagerRecord::LEN];
-        read_words(port, station, category.word.saturating_add(number * words), &mut bytes).await?;
-        let Ok(record) = SyncManagerRecord::parse(&bytes) else {
+    for number in 0..managers {
+        let record = match listed {
+            Some(category) => {
+                let mut bytes = [0; SyncManagerRecord::LEN];
+                read_words(port, station, category.word.saturating_add(number * words), &mut bytes).await?;
+                SyncManagerRecord::parse(&bytes).ok()
+            }
+            None => UNLISTED.get(usize::from(number)).copied(),
+        };
+        let Some(record) = record else {
             break;
         };
         let direction = match record.usage {
@@ -200,20 +229,19 @@ async fn by_coe<const MESSAGE: usize>(
     direction: Direction,
     take: &mut impl FnMut(Entry) -> Result<(), BusError>,
 ) -> Result<bool, BusError> {
-    let mut pdos: Vec<u16, PDOS_MAX> = Vec::new();
     let mut dictionary = ObjectDictionary::new(port, mailbox);
-    let assignment = ASSIGNMENT + u16::from(number);
-    let assigned = read_list(&mut dictionary, assignment, PDOS_MAX as u8, 2, |pdo| {
-        // The list has room for as many.
-        let _ = pdos.push(pdo as u16);
-        Ok(())
-    });
-    match assigned.await {
+    let assignment = |sub| Object::new(ASSIGNMENT + u16::from(number), sub);
+    let assigned = match dictionary.read(assignment(0), 1).await {
         Err(BusError::SdoAbort { .. }) => return Ok(false),
-        other => other?,
-    }
-    for pdo in pdos {
+        assigned => assigned? as u8,
+    };
+    for sub in 1..=assigned {
         let mut dictionary = ObjectDictionary::new(port, mailbox);
+        let pdo = match dictionary.read(assignment(sub), 2).await {
+            // No entry was passed on yet.
+            Err(BusError::SdoAbort { .. }) if sub == 1 => return Ok(false),
+            pdo => pdo? as u16,
+        };
         let entries = read_list(&mut dictionary, pdo, ENTRIES_MAX, 4, |value| {
             take(Entry::from_mapping(value))
         });

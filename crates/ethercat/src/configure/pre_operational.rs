@@ -25,7 +25,7 @@ const ASSIGNMENT_OUTPUTS: u16 = 0x1C12;
 /// Object that lists the process data objects of the inputs.
 const ASSIGNMENT_INPUTS: u16 = 0x1C13;
 /// Most process data objects of one direction.
-pub(super) const PDOS_MAX: usize = 8;
+const PDOS_MAX: usize = 8;
 /// Most entries of one process data object.
 pub(super) const ENTRIES_MAX: u8 = 32;
 /// Most read-backs of a setting until the device shows the value; one read-back takes some milliseconds.
