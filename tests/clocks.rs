@@ -9,7 +9,7 @@ use etherpen::ethercat::clock::steering::{ClockReading, ClockSteering};
 use etherpen::ethercat::supervisor::{BusCommand, BusEvent};
 use etherpen::ethercat::wire::{Address, Command, FRAME_LEN_MAX, FrameBuilder, FrameView, register};
 use etherpen::robot_bus::{RobotBusQueues, RobotExchange, RobotSupervisor};
-use host_tools::cell::{Cell, CellOptions, ClockOptions};
+use host_tools::cell::{Cell, CellOptions, ClockOptions, PlaceOptions};
 
 const MAC: [u8; 6] = [0x10, 0, 0, 0, 0, 1];
 const PERIOD_NS: u64 = 1_000_000;
@@ -34,21 +34,23 @@ fn difference_ns(cell: &mut Cell, time_ns: u64, station: u16) -> i32 {
     register::time_difference_ns(u32::from_le_bytes(bytes))
 }
 
-#[test]
-fn clocks_that_drift_by_50_ppm_agree_before_op_and_the_sample_keeps_its_phase() {
-    for seed in 1..=4 {
+/// A bus with clocks that was run for a while.
+struct Run {
+    cell: Cell,
+    release_ns: u64,
+    operational_ms: Option<u32>,
+    steering: ClockSteering,
+    /// Largest phase error of the sample, and the largest after a second, ns.
+    error_max_ns: i32,
+    settled_max_ns: i32,
+}
+
+impl Run {
+    /// Brings the bus up and runs it for `longest_ms`, or until a second after it is in OP.
+    fn new(options: CellOptions, longest_ms: u32) -> Self {
         let mut config = Config::default();
         config.bus.clocks = true;
-        let clocks = ClockOptions {
-            drift_max_ppm: 50.0,
-            ..ClockOptions::default()
-        };
-        let options = CellOptions {
-            seed,
-            clocks,
-            ..CellOptions::default()
-        };
-        let mut cell = Cell::new(&config, options);
+        let seed = options.seed;
         let mut queues = Box::new(RobotBusQueues::new());
         let (exchange_end, supervisor_end, mut application) = queues.split();
         let setup = config.bus_setup();
@@ -56,62 +58,124 @@ fn clocks_that_drift_by_50_ppm_agree_before_op_and_the_sample_keeps_its_phase() 
         let mut exchange = RobotExchange::new(exchange_end, MAC);
         let mut supervisor = RobotSupervisor::new(supervisor_end);
         let mut supervision = Box::pin(supervisor.run());
-        let mut steering = ClockSteering::new(PERIOD_NS as u32);
-        let (mut release_ns, mut correction_ns, mut steered) = (0_u64, 0, 0);
-        let (mut operational_ms, mut error_max_ns, mut settled_max_ns) = (None, 0, 0);
-        for ms in 0..6_000_u32 {
-            release_ns += PERIOD_NS.saturating_add_signed(i64::from(correction_ns));
+        let (mut correction_ns, mut steered) = (0, 0);
+        let mut run = Self {
+            cell: Cell::new(&config, options),
+            release_ns: 0,
+            operational_ms: None,
+            steering: ClockSteering::new(PERIOD_NS as u32),
+            error_max_ns: 0,
+            settled_max_ns: 0,
+        };
+        for ms in 0..longest_ms {
+            run.release_ns += PERIOD_NS.saturating_add_signed(i64::from(correction_ns));
             let telegram = exchange.input_telegram().to_vec();
-            for reply in cell.frame_at_ns(release_ns, &telegram) {
+            for reply in run.cell.frame_at_ns(run.release_ns, &telegram) {
                 exchange.receive(&reply);
             }
             if exchange.plan().clock.is_some() {
                 steered += 1;
-                correction_ns = steering.step(ClockReading {
+                correction_ns = run.steering.step(ClockReading {
                     reference_ns: exchange.clock_ns().map(|time_ns| time_ns as u32),
                     elapsed_ns: 0,
                 });
-                error_max_ns = error_max_ns.max(steering.error_ns().abs());
+                let error_ns = run.steering.error_ns().abs();
+                run.error_max_ns = run.error_max_ns.max(error_ns);
                 if steered > 1_000 {
-                    settled_max_ns = settled_max_ns.max(steering.error_ns().abs());
+                    run.settled_max_ns = run.settled_max_ns.max(error_ns);
                 }
-                assert_eq!(steering.fault(50_000), None, "seed {seed}, {ms} ms");
+                assert_eq!(run.steering.fault(50_000), None, "seed {seed}, {ms} ms");
             }
             let telegram = exchange.output_telegram().to_vec();
-            for reply in cell.frame_at_ns(release_ns + 100_000, &telegram) {
+            for reply in run.cell.frame_at_ns(run.release_ns + 100_000, &telegram) {
                 exchange.receive(&reply);
             }
-            assert!(
-                supervision
-                    .as_mut()
-                    .poll(&mut Context::from_waker(Waker::noop()))
-                    .is_pending()
-            );
+            let mut context = Context::from_waker(Waker::noop());
+            assert!(supervision.as_mut().poll(&mut context).is_pending());
             while let Some(event) = application.events.dequeue() {
                 assert!(!matches!(event, BusEvent::Refused { .. }), "seed {seed}: {event:?}");
                 if event == BusEvent::Operational {
-                    operational_ms.get_or_insert(ms);
+                    run.operational_ms.get_or_insert(ms);
                 }
             }
+            if run
+                .operational_ms
+                .is_some_and(|operational_ms| ms > operational_ms + 1_000)
+            {
+                break;
+            }
         }
-        let differences: Vec<i32> = (1..SLAVES)
-            .map(|slave| difference_ns(&mut cell, release_ns + 400_000, STATION_BASE + slave))
-            .collect();
+        run
+    }
+
+    /// Differences of the slaves behind the reference from it, ns.
+    fn differences_ns(&mut self) -> Vec<i32> {
+        let time_ns = self.release_ns + 400_000;
+        (1..SLAVES)
+            .map(|slave| difference_ns(&mut self.cell, time_ns, STATION_BASE + slave))
+            .collect()
+    }
+}
+
+/// Options of a cell whose clocks drift by up to 50 ppm.
+fn drifting(seed: u64) -> CellOptions {
+    CellOptions {
+        seed,
+        clocks: ClockOptions {
+            drift_max_ppm: 50.0,
+            ..ClockOptions::default()
+        },
+        ..CellOptions::default()
+    }
+}
+
+#[test]
+fn clocks_that_drift_by_50_ppm_agree_before_op_and_the_sample_keeps_its_phase() {
+    for seed in 1..=4 {
+        let mut run = Run::new(drifting(seed), 6_000);
+        let differences = run.differences_ns();
         for slave in 0..SLAVES {
-            let active: [u8; 2] = read(
-                &mut cell,
-                release_ns + 450_000,
-                STATION_BASE + slave,
-                register::DC_CYCLIC_CONTROL,
-            );
+            let (time_ns, station) = (run.release_ns + 450_000, STATION_BASE + slave);
+            let active: [u8; 2] = read(&mut run.cell, time_ns, station, register::DC_CYCLIC_CONTROL);
             assert_eq!(active, 0x0300_u16.to_le_bytes(), "SYNC0 of slave {slave} is on");
         }
+        let Run {
+            operational_ms,
+            error_max_ns,
+            settled_max_ns,
+            ..
+        } = run;
         println!(
             "seed {seed}: OP after {operational_ms:?} ms and the phase error was at most {error_max_ns} ns, after a second \
              {settled_max_ns} ns; differences of the slaves {differences:?} ns"
         );
-        assert!(operational_ms.is_some() && steering.is_locked());
+        assert!(operational_ms.is_some() && run.steering.is_locked());
         assert!(error_max_ns <= 2_500 && settled_max_ns <= 100);
         assert!(differences.iter().all(|difference| difference.abs() <= 100));
+    }
+}
+
+#[test]
+fn clocks_that_lock_slowly_are_waited_for_until_they_agree() {
+    for lock_ms in [30, 100, 300] {
+        let place = PlaceOptions {
+            lock_ms: Some(lock_ms),
+            ..PlaceOptions::default()
+        };
+        let options = CellOptions {
+            places: vec![place; SLAVES.into()],
+            ..drifting(5)
+        };
+        let mut run = Run::new(options, 30_000);
+        let differences = run.differences_ns();
+        println!(
+            "loop of {lock_ms} ms: OP after {:?} ms, differences a second later {differences:?} ns",
+            run.operational_ms
+        );
+        assert!(run.operational_ms.is_some());
+        assert!(
+            differences.iter().all(|difference| difference.abs() <= 1_000),
+            "{differences:?} ns"
+        );
     }
 }

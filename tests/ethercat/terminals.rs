@@ -187,7 +187,12 @@ pub(crate) fn a_terminal_that_fails_disturbs_no_drive_and_comes_back_on_command(
 
 #[test]
 pub(crate) fn a_terminal_that_cannot_be_read_is_refused_and_the_drives_operate() {
-    for fault in [SiiFault::Busy, SiiFault::Acknowledge, SiiFault::Damaged] {
+    for fault in [
+        SiiFault::Busy,
+        SiiFault::Acknowledge,
+        SiiFault::Damaged,
+        SiiFault::Blank,
+    ] {
         let mut rig = rig_of(
             parse_slaves("ek1100,el1008,ax2000*4,el2004").unwrap(),
             ExchangeKind::Split,

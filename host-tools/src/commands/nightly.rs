@@ -13,7 +13,17 @@ const EMULATED_HOURS: &str = "1";
 /// First seed and the one behind the last; an episode takes some seconds of robot time.
 const CAMPAIGN_SEEDS: &str = "0..100000";
 /// Profiles of the campaign.
-const PROFILES: [&str; 7] = ["all", "quiet", "bus", "drives", "link", "board", "operator"];
+const PROFILES: [&str; 9] = [
+    "all",
+    "quiet",
+    "bus",
+    "drives",
+    "link",
+    "board",
+    "operator",
+    "terminals",
+    "cables",
+];
 /// Time for each fuzz target, s.
 const FUZZ_S: u32 = 600;
 

@@ -4,7 +4,10 @@ use crate::network::Network;
 use crate::program::{Folder, Running, etherpen};
 use ethercrab::std::{ethercat_now, tx_rx_task};
 use ethercrab::subdevice_group::DcConfiguration;
-use ethercrab::{DcSupport, DcSync, MainDevice, MainDeviceConfig, PduStorage, Timeouts, error::Error};
+use ethercrab::{
+    DcSupport, DcSync, MainDevice, MainDeviceConfig, PduStorage, SubDevice, SubDeviceRef, Timeouts, error::Error,
+};
+use std::ops::Deref;
 use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::task::{Context, Poll, Wake, Waker};
@@ -38,15 +41,17 @@ type Storage = PduStorage<16, { PduStorage::element_size(1100) }>;
 static STORAGE: Storage = PduStorage::new();
 static MIXED_STORAGE: Storage = PduStorage::new();
 
-/// Coupler, terminals and drives of two makers.
-const MIXED: &str = "ek1100,el1008,el2004,ax2000,cia402,cia402";
+/// Coupler, terminals and drives of three makers.
+const MIXED: &str = "ek1100,el1008,el2004,ax2000,akd,cia402";
+/// Product code of the AKD, which refuses SAFEOP with the process data that it has unasked.
+const AKD: u32 = 0x0041_4B44;
 /// Clocks as ethercrab sees them. A terminal's features announce one; whether it has a clock, only its register tells.
 const MIXED_CLOCKS: [DcSupport; 6] = [
     DcSupport::RefOnly,
     DcSupport::Bits64,
     DcSupport::Bits64,
     DcSupport::Bits64,
-    DcSupport::Bits64,
+    DcSupport::Bits32,
     DcSupport::Bits64,
 ];
 /// First drive of the mixed chain, and the place of its EL2004.
@@ -98,6 +103,16 @@ fn outputs(demand: i32, control: u16) -> [u8; 6] {
     bytes
 }
 
+/// Assigns velocity demand and control word to the outputs, position and status word to the inputs.
+async fn assign(drive: &SubDeviceRef<'_, impl Deref<Target = SubDevice>>) -> Result<(), Error> {
+    for (list, pdo) in [(0x1C12, 0x1702_u16), (0x1C13, 0x1B01)] {
+        drive.sdo_write(list, 0, 0_u8).await?;
+        drive.sdo_write(list, 1, pdo).await?;
+        drive.sdo_write(list, 0, 1_u8).await?;
+    }
+    Ok(())
+}
+
 /// From power-up to turning drives; returns the cycles and the wrong working counters.
 async fn run(maindevice: &MainDevice<'_>) -> Result<(usize, usize), Error> {
     let group = maindevice
@@ -115,12 +130,8 @@ async fn run(maindevice: &MainDevice<'_>) -> Result<(usize, usize), Error> {
         for (register, value) in [WATCHDOG_DIVIDER, WATCHDOG_TIME] {
             drive.register_write(register, value).await?;
         }
-        // Velocity demand and control word out, position and status word in, digital speed.
-        for (list, pdo) in [(0x1C12, 0x1702_u16), (0x1C13, 0x1B01)] {
-            drive.sdo_write(list, 0, 0_u8).await?;
-            drive.sdo_write(list, 1, pdo).await?;
-            drive.sdo_write(list, 0, 1_u8).await?;
-        }
+        // Digital speed.
+        assign(&drive).await?;
         drive.sdo_write(0x6060, 0, -2_i8).await?;
     }
     let group = group.into_safe_op(maindevice).await?;
@@ -180,6 +191,9 @@ async fn run_mixed(maindevice: &MainDevice<'_>) -> Result<(usize, usize), Error>
     for mut drive in group.iter_mut(maindevice).skip(MIXED_DRIVES_FROM) {
         for (register, value) in [WATCHDOG_DIVIDER, WATCHDOG_TIME] {
             drive.register_write(register, value).await?;
+        }
+        if drive.identity().product_id == AKD {
+            assign(&drive).await?;
         }
         drive.set_dc_sync(DcSync::Sync0);
     }

@@ -33,11 +33,13 @@ STATUS_MASK = 0x6F
 
 
 class Drive:
-    """Process data of a drive: mode, and the order of its values."""
+    """Process data of a drive: mode, the order of its values, and which objects are assigned if not those that it has."""
 
-    def __init__(self, mode, control_first):
+    def __init__(self, mode, control_first, assigned=(), clock_bits=64):
         self.mode = mode
         self.control_first = control_first
+        self.assigned = assigned
+        self.clock_bits = clock_bits
 
     def outputs(self, control, velocity):
         return struct.pack("<Hi", control, velocity) if self.control_first else struct.pack("<iH", velocity, control)
@@ -50,9 +52,10 @@ class Drive:
         return status, position
 
 
-# Drives by vendor and product, with the process data that they have unasked.
+# Drives by vendor and product. The AKD refuses SAFEOP with the process data that it has unasked.
 DRIVES = {
     (VENDOR_BECKHOFF, 0x07D0_6014): Drive(-2, control_first=False),
+    (0x6A, 0x0041_4B44): Drive(9, control_first=False, assigned=((0x1C12, 0x1702), (0x1C13, 0x1B01)), clock_bits=32),
     (0x0E7E, 0x0402): Drive(9, control_first=True),
 }
 
@@ -129,7 +132,9 @@ class Bus:
     def runs(self, slave):
         """Whether a slave's next SYNC0 pulse lies ahead; the register keeps a start time that was missed."""
         now = self.register(slave, SYSTEM_TIME, "<Q")
-        return self.register(slave, SYNC0_START, "<Q") > now
+        bits = DRIVES[slave.man, slave.id].clock_bits
+        ahead = (self.register(slave, SYNC0_START, "<Q") - now) % (1 << bits)
+        return 0 < ahead < 1 << (bits - 1)
 
     def synchronise(self, slave):
         """Starts SYNC0. SOEM sets the start 100 ms ahead; a computer that was busy for longer has to try again."""
@@ -167,6 +172,10 @@ def main(interface, cycles="10000"):
     for slave, drive in bus.drives:
         report["slaves"][bus.slaves.index(slave)]["objects"] = objects(slave)
         slave.sdo_write(MODES_OF_OPERATION, 0, struct.pack("b", drive.mode))
+        for assignment, pdo in drive.assigned:
+            slave.sdo_write(assignment, 0, b"\0")
+            slave.sdo_write(assignment, 1, struct.pack("<H", pdo))
+            slave.sdo_write(assignment, 0, b"\1")
 
     # Clocks come before the mapping, which asks for SAFEOP: drives look at SYNC0 then.
     report["clocks"] = bool(bus.master.config_dc())

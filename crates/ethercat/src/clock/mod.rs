@@ -372,7 +372,8 @@ fn open_ports(status: u16) -> u8 {
 }
 
 /// Makes all clocks agree: measures, writes offsets and delays, and distributes the reference's time until the control
-/// loops start to follow. Does nothing on a bus without clocks. `time_number` is that of the time which begins.
+/// loops start to follow. Does nothing on a bus without clocks. `time_number` is that of the time which begins. A clock that
+/// cannot be set counts as none if `is_used` returns false for its slave.
 ///
 /// # Errors
 /// As [`AcyclicPort::send_until_counted`].
@@ -381,6 +382,7 @@ pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
     stations: &[u16],
     period_ns: u32,
     time_number: u8,
+    is_used: impl Fn(usize) -> bool,
 ) -> Result<BusClocks<SLAVES>, BusError> {
     let mut clocks: BusClocks<SLAVES> = discover(port, stations).await?;
     (clocks.period_ns, clocks.time_number) = (period_ns, time_number);
@@ -397,7 +399,11 @@ pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
             true => Some(0),
             false => clocks.offset_ns(position, reference),
         };
-        write_offset(port, *station, position, &mut clocks, offset_ns.unwrap_or(0)).await?;
+        let written = write_offset(port, *station, position, &mut clocks, offset_ns.unwrap_or(0)).await;
+        match (written, clocks.slaves.get_mut(position)) {
+            (Err(_), Some(slave)) if !is_used(position) && position != reference => slave.width = None,
+            (written, _) => written?,
+        }
     }
     settle(port, stations, &mut clocks).await?;
     Ok(clocks)
@@ -432,6 +438,8 @@ pub async fn restore<const SLAVES: usize, const MESSAGE: usize>(
     let offset_ns = source
         .and_then(|source| clocks.offset_ns(position, source))
         .unwrap_or_else(|| continued_ns().wrapping_sub(slave.local_ns));
+    // A SYNC0 that still runs would follow the new time; a controller may have none.
+    let _ = stop_sync(port, *station).await;
     write_offset(port, *station, position, clocks, offset_ns).await?;
     let measured: Vec<bool, SLAVES> = clocks.slaves.iter().map(|slave| slave.measured).collect();
     let are_there = |position| answers(position) && measured.get(position) == Some(&true);
@@ -587,6 +595,11 @@ pub async fn difference_ns<const MESSAGE: usize>(
     Ok(register::time_difference_ns(read_u32(&bytes, 0)))
 }
 
+/// How often in a row a slave's clock has to be near the reference.
+const AGREED_READINGS: u8 = 3;
+/// Time between these readings, ms.
+const AGREED_APART_MS: u32 = 10;
+
 /// How near to the reference a slave's clock has to come before the slave goes to OP, and how long this may take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Settling {
@@ -606,7 +619,9 @@ impl Default for Settling {
     }
 }
 
-/// Waits until a slave's clock has settled; the cyclic frames have to carry the time datagram meanwhile.
+/// Waits until a slave's clock has settled; the cyclic frames have to carry the time datagram meanwhile. A clock that only
+/// passes by the reference's time, as one that still learns its own drift does, is not near it [`AGREED_READINGS`] times in a
+/// row.
 ///
 /// # Errors
 /// [`BusError::ClockDifference`] after the longest wait, or as [`AcyclicPort::send_until_counted`].
@@ -615,11 +630,17 @@ pub async fn await_agreement<const MESSAGE: usize>(
     station: u16,
     settling: Settling,
 ) -> Result<i32, BusError> {
-    let started_ms = port.now_ms();
+    let (started_ms, mut agreed) = (port.now_ms(), 0);
     loop {
         let actual_ns = difference_ns(port, station).await?;
-        if actual_ns.unsigned_abs() <= settling.difference_ns {
+        let is_near = actual_ns.unsigned_abs() <= settling.difference_ns;
+        agreed = if is_near { agreed + 1 } else { 0 };
+        if agreed >= AGREED_READINGS {
             return Ok(actual_ns);
+        }
+        if is_near {
+            port.wait_ms(AGREED_APART_MS).await;
+            continue;
         }
         let waited_ms = port.now_ms().wrapping_sub(started_ms);
         if waited_ms > settling.wait_ms {

@@ -31,6 +31,8 @@ struct Model {
     delay_ns: u64,
     /// Whether its features tell of a clock.
     latches: bool,
+    /// Whether its time cannot be written.
+    is_fixed: bool,
 }
 
 impl Model {
@@ -81,6 +83,7 @@ impl Chain {
                 memory: std::vec![0; 0x1000],
                 delay_ns: number * HOP_NS,
                 latches: width.is_some(),
+                is_fixed: false,
             };
             model.put(register::FEATURES, &features.to_le_bytes());
             // Ports 0 and 1 open, the last slave's port 1 closed; ports 2 and 3 closed.
@@ -130,7 +133,7 @@ impl Chain {
                     data.copy_from_slice(&model.memory[usize::from(at)..][..length]);
                     working_counter += 1;
                 }
-                Command::Frmw if model.width.is_some() => {
+                Command::Frmw if model.width.is_some() && !model.is_fixed => {
                     let delay_ns = u64::from(read_u32(&model.memory, usize::from(register::DC_DELAY)));
                     let reference_ns = read_u64(&data, 0).wrapping_add(delay_ns);
                     let difference_ns = (read_u64(&system, 0) as u32).wrapping_sub(reference_ns as u32) as i32;
@@ -138,7 +141,7 @@ impl Chain {
                     model.put(register::DC_TIME_DIFFERENCE, &bits.to_le_bytes());
                     working_counter += 1;
                 }
-                Command::Fpwr if mine => {
+                Command::Fpwr if mine && !(model.is_fixed && at == register::DC_OFFSET) => {
                     model.put(at, &data);
                     working_counter += 1;
                 }
@@ -182,7 +185,7 @@ impl Chain {
     }
 
     fn set_up(&mut self) -> BusClocks<16> {
-        self.run(async |mut port: AcyclicPort<'static, 64>| set_up(&mut port, &STATIONS, PERIOD_NS, 0).await)
+        self.run(async |mut port: AcyclicPort<'static, 64>| set_up(&mut port, &STATIONS, PERIOD_NS, 0, |_| true).await)
             .expect("the set-up")
     }
 
@@ -245,6 +248,26 @@ fn the_first_slave_with_a_clock_is_the_reference_and_a_bus_without_clocks_is_lef
     let clocks = bare.set_up();
     assert_eq!((clocks.reference(), bare.frames), (None, 4));
     assert_eq!(bare.log, "Fprd:0008 Fprd:0008 Fprd:0008 Fprd:0008");
+}
+
+#[test]
+fn a_clock_that_cannot_be_set_stops_nobody_if_its_slave_is_not_used() {
+    let mut chain = Chain::new([(WIDE, 9_000, 0), (WIDE, 1 << 40, 0), (WIDE, 77, 0), (WIDE, 50, 0)]);
+    chain.slaves[2].is_fixed = true;
+    let mut set_up = |used: fn(usize) -> bool| {
+        chain.run(async move |mut port: AcyclicPort<'static, 64>| {
+            set_up::<16, 64>(&mut port, &STATIONS, PERIOD_NS, 0, used).await
+        })
+    };
+    let clocks = set_up(|place| place != 2).expect("the others' clocks");
+    let has_clock: StdVec<bool> = (0..4).map(|place| clocks.has_clock(place)).collect();
+    assert_eq!(has_clock, [true, true, false, true]);
+    let refused = set_up(|_| true);
+    assert!(
+        matches!(refused, Err(BusError::WorkingCounter { .. })),
+        "a drive without its clock"
+    );
+    assert_eq!((chain.differences_ns()[1], chain.differences_ns()[3]), (0, 0));
 }
 
 #[test]
@@ -323,7 +346,7 @@ fn a_slave_that_was_switched_off_takes_the_time_of_the_others_also_as_the_refere
                 restore(&mut port, &STATIONS, &mut clocks, position, |_| true).await
             })
             .expect("the clock");
-        assert_eq!(chain.log.matches("Fpwr").count() - writes, 3, "only its own registers");
+        assert_eq!(chain.log.matches("Fpwr").count() - writes, 4, "only its own registers");
         let passed_ns = chain.slaves[1].system_ns(chain.true_ns) - before_ns;
         assert_eq!(passed_ns % u64::from(PERIOD_NS), 0);
         let now_ns = chain.true_ns;
@@ -426,7 +449,7 @@ fn sync_starts_at_its_shift_behind_the_frames_after_an_hour_with_clocks_of_any_w
         let begin_ns = chain.true_ns;
         let start_ns = chain
             .run(async |mut port: AcyclicPort<'static, 64>| -> Result<u64, BusError> {
-                let mut clocks: BusClocks<16> = set_up(&mut port, &STATIONS, PERIOD_NS, 0).await?;
+                let mut clocks: BusClocks<16> = set_up(&mut port, &STATIONS, PERIOD_NS, 0, |_| true).await?;
                 for _ in 0..3_600 {
                     port.wait_ms(999).await;
                     follow(&mut port, &STATIONS, &mut clocks, |_| true).await;
@@ -503,7 +526,7 @@ fn an_extra_slave_is_counted_and_neither_measured_nor_set() {
     let known = &STATIONS[..3];
     let extra = chain.slaves.pop().expect("a slave");
     let mut clocks: BusClocks<16> = chain
-        .run(async |mut port: AcyclicPort<'static, 64>| set_up(&mut port, known, PERIOD_NS, 0).await)
+        .run(async |mut port: AcyclicPort<'static, 64>| set_up(&mut port, known, PERIOD_NS, 0, |_| true).await)
         .expect("the set-up");
     let before = clocks.slaves.clone();
     chain.slaves.push(extra);

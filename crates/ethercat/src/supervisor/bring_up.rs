@@ -96,7 +96,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         }
         let stations = self.stations();
         self.time_number = self.time_number.wrapping_add(1);
-        self.clocks = clock::set_up(&mut self.port, &stations, self.setup.cycle_ns, self.time_number)
+        let Self { port, slaves, .. } = self;
+        let is_used = |place: usize| slaves.get(place).is_some_and(Slave::is_used);
+        self.clocks = clock::set_up(port, &stations, self.setup.cycle_ns, self.time_number, is_used)
             .await
             .map_err(Failure::bus(Step::Clocks))?;
         self.send_plan().await;
