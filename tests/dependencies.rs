@@ -67,20 +67,25 @@ struct Package {
     manifest: PathBuf,
 }
 
-fn packages() -> Vec<Package> {
+/// What a cargo command that compiles nothing prints.
+fn cargo(arguments: &[&str]) -> Vec<u8> {
     let mut cargo = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()));
-    cargo.current_dir(root());
-    cargo.args(["metadata", "--format-version", "1", "--locked", "--all-features"]);
-    for platform in PLATFORMS {
-        cargo.args(["--filter-platform", platform]);
-    }
-    let output = cargo.output().expect("cargo");
+    let output = cargo.current_dir(root()).args(arguments).output().expect("cargo");
     assert!(
         output.status.success(),
-        "`cargo metadata` failed; `cargo fetch --locked` gets missing packages:\n{}",
+        "`cargo {}` failed; `cargo fetch --locked` gets missing packages:\n{}",
+        arguments[0],
         String::from_utf8_lossy(&output.stderr)
     );
-    let metadata: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    output.stdout
+}
+
+fn packages() -> Vec<Package> {
+    let mut arguments = vec!["metadata", "--format-version", "1", "--locked", "--all-features"];
+    for platform in PLATFORMS {
+        arguments.extend(["--filter-platform", platform]);
+    }
+    let metadata: Value = serde_json::from_slice(&cargo(&arguments)).expect("JSON");
     let text = |package: &Value, key: &str| package[key].as_str().map(str::to_owned);
     let described = metadata["packages"].as_array().expect("packages");
     let described = described.iter().map(|package| Package {
@@ -254,6 +259,30 @@ fn crates_in_several_versions_are_listed_with_the_reason() {
         versions.is_empty(),
         "crates in several versions: choose versions that agree (`cargo update NAME --precise VERSION`), or list them \
          with a reason: {versions:?}"
+    );
+}
+
+/// The packages that a command compiles, with the features that they then have.
+fn with_features(arguments: &[&str]) -> BTreeSet<String> {
+    let tree = ["tree", "--locked", "--prefix", "none", "--format", "{p} {f}"];
+    let tree = cargo(&[&tree, arguments].concat());
+    let tree = String::from_utf8(tree).expect("text");
+    // A package that is listed again has this mark.
+    tree.lines()
+        .map(|line| line.trim_end_matches(" (*)").to_owned())
+        .collect()
+}
+
+#[test]
+fn the_program_has_the_same_features_when_it_runs_and_when_it_is_tested() {
+    // `cargo verify` is `cargo run`, which leaves out what tests alone depend on, and then tests the whole workspace. A crate
+    // with other features there is compiled twice, and with it all that depend on it, host-tools among them.
+    let (run, tested) = (with_features(&["--edges", "no-dev"]), with_features(&["--workspace"]));
+    assert!(run.len() > 100, "{run:?}");
+    let otherwise: Vec<_> = run.difference(&tested).collect();
+    assert!(
+        otherwise.is_empty(),
+        "features without those of tests; give host-tools in [dependencies] what the tests add:\n{otherwise:#?}"
     );
 }
 

@@ -257,11 +257,17 @@ pub(crate) fn recover(robot: &mut Robot, case: &Case) {
 
 /// A configuration with all drives in a mode, in which the pen reaches a speed.
 pub(crate) fn with(mode: AxisMode, speed_mm_s: f64) -> Config {
-    let mut config = Config::default();
+    let mut config = in_mode(mode);
     config.motion.travel_speed_mm_s = speed_mm_s.max(JOG_MAX_MM_S);
     if speed_mm_s > GENTLE_MAX_MM_S {
         config.motion.acceleration_mm_s2 = HARD_MM_S2;
     }
+    config
+}
+
+/// The default configuration with all drives in a mode.
+pub(crate) fn in_mode(mode: AxisMode) -> Config {
+    let mut config = Config::default();
     for axis in &mut config.axes {
         axis.mode = mode;
         match mode {

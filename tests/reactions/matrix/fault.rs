@@ -2,6 +2,7 @@
 
 use crate::robot::{Overrun, Robot};
 use etherpen::board::PortState;
+use etherpen::config::AxisMode;
 use etherpen::messages::Command;
 use host_tools::cell::{Fault, Product, ResolverFault};
 
@@ -106,6 +107,14 @@ fn frozen(robot: &mut Robot) {
     robot.inject(Fault::Resolver(DRIVE, ResolverFault::Stuck, LONG_MS));
 }
 
+/// The robot's drives, and another product: an AX2000 has no position mode.
+fn products(robot: &Robot) -> (Product, Product) {
+    match robot.config().axes[DRIVE - 1].mode {
+        AxisMode::Position => (Product::Cia402, Product::Ax2000),
+        AxisMode::Velocity | AxisMode::Torque => (Product::Ax2000, Product::Cia402),
+    }
+}
+
 fn unplugged(robot: &mut Robot) {
     robot.plugged = false;
 }
@@ -133,12 +142,12 @@ pub(super) static FAULTS: [Trouble; 34] = [
     .of_drives(&[DRIVE]),
     for_a_second(
         "another product in a drive's place",
-        |robot| robot.inject(Fault::Swap(DRIVE, Product::Cia402)),
-        |robot| robot.inject(Fault::Swap(DRIVE, Product::Ax2000)),
+        |robot| robot.inject(Fault::Swap(DRIVE, products(robot).1)),
+        |robot| robot.inject(Fault::Swap(DRIVE, products(robot).0)),
     )
     .of_drives(&[DRIVE]),
     by_itself("a drive replaced by another of its kind", |robot| {
-        robot.inject(Fault::Swap(DRIVE, Product::Ax2000));
+        robot.inject(Fault::Swap(DRIVE, products(robot).0));
     })
     .of_drives(&[DRIVE]),
     for_a_second(

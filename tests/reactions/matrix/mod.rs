@@ -9,8 +9,11 @@
 //! the drive that the fault hits is the fault itself and does not count. A report counts when it leaves the board, so
 //! that the operator's unplugged cable does not delay it. While the robot stops, every drive brakes anyway; then a drive
 //! counts only when it goes into fault.
+//!
+//! All cells are measured with drives in velocity mode and in position mode; `position.rs` compares the two.
 
 mod fault;
+mod position;
 mod situation;
 
 use crate::STILL_RAD_S;
@@ -246,24 +249,22 @@ fn comes_to_its_target(robot: &mut Robot) -> bool {
     off.iter().map(|mm| mm * mm).sum::<f64>().sqrt() < PROOF_TOLERANCE_MM
 }
 
-/// The table below a situation's heading; a row that is not wanted is that of the document.
-fn table(situation: &Situation, text: &str, is_wanted: impl Fn(&str) -> bool) -> String {
-    let rows: Vec<String> = FAULTS
-        .iter()
-        .map(|trouble| match is_wanted(trouble.name) {
-            true => measure(situation, trouble).row(trouble),
-            false => written(situation, text)
-                .lines()
-                .find(|line| line.starts_with(&format!("| {} |", trouble.name)))
-                .unwrap_or_else(|| panic!("{DOCUMENT}, {}, has no row {}", situation.name, trouble.name))
-                .to_owned(),
-        })
-        .collect();
+/// The table below a situation's heading, with these rows.
+fn table(situation: &Situation, rows: &[String]) -> String {
     format!(
         "### {}\n\n| fault | told | noticed after | stands after | pen astray | back by |\n|---|---|---|---|---|---|\n{}\n",
         situation.name,
         rows.join("\n")
     )
+}
+
+/// The document's row about a fault in a situation, in velocity mode.
+fn written_row<'a>(situation: &Situation, trouble: &Trouble, text: &'a str) -> &'a str {
+    let begin = format!("| {} |", trouble.name);
+    written(situation, text)
+        .lines()
+        .find(|line| line.starts_with(&begin))
+        .unwrap_or_else(|| panic!("{DOCUMENT}, {}, has no row {}", situation.name, trouble.name))
 }
 
 /// The part of the document about a situation.
@@ -306,20 +307,50 @@ fn cells_of_the_fault_matrix_here_and_there_are_as_written() {
     }
 }
 
+/// Which rows are measured, by their names.
+type IsWanted<'a> = dyn Fn(&str) -> bool + Sync + 'a;
+
+/// The tables, in velocity mode; a row that is not wanted is that of the document.
+fn in_velocity_mode(text: &str, is_wanted: &IsWanted) -> Vec<Vec<String>> {
+    let row = |situation: &Situation, trouble: &Trouble| match is_wanted(trouble.name) {
+        true => measure(situation, trouble).row(trouble),
+        false => written_row(situation, trouble, text).to_owned(),
+    };
+    let rows = |situation| FAULTS.iter().map(|trouble| row(situation, trouble)).collect();
+    SITUATIONS.iter().map(rows).collect()
+}
+
 #[test]
 #[ignore = "takes minutes; part of cargo verify --nightly"]
 fn the_whole_fault_matrix_is_as_written() {
     let (path, text) = document();
     let renewed_rows = std::env::var(RENEW).ok();
     let part = renewed_rows.as_deref().filter(|part| *part != "1").unwrap_or("");
-    let of = |situation| table(situation, &text, |name| part.split('|').any(|part| name.contains(part)));
-    let measured: Vec<String> = SITUATIONS.iter().map(of).collect();
+    let is_wanted = |name: &str| part.split('|').any(|part| name.contains(part));
+    let (velocity, outcomes) = std::thread::scope(|scope| {
+        let position = scope.spawn(|| position::measured(&is_wanted));
+        (in_velocity_mode(&text, &is_wanted), position.join().expect("a matrix"))
+    });
+    let measured: Vec<String> = SITUATIONS
+        .iter()
+        .zip(&velocity)
+        .map(|(situation, rows)| table(situation, rows))
+        .collect();
     let measured = format!("{}\n", measured.join("\n"));
-    let range = tables(&text);
+    let differing = position::rows(&velocity, &outcomes, &text);
+    let (range, place) = (tables(&text), position::place(&text));
+    assert!(range.end <= place.start, "the table of position mode is the last one");
     if renewed_rows.is_some() {
-        let renewed = [&text[..range.start], &measured, &text[range.end..]].concat();
-        std::fs::write(&path, renewed).expect("the document can be written");
+        let parts = [
+            &text[..range.start],
+            &measured,
+            &text[range.end..place.start],
+            &differing,
+            &text[place.end..],
+        ];
+        std::fs::write(&path, parts.concat()).expect("the document can be written");
     } else {
         assert_eq!(text[range].trim_end(), measured.trim_end(), "{RENEW}=1 renews it");
+        assert_eq!(text[place], differing, "{RENEW}=1 renews it");
     }
 }

@@ -2,9 +2,10 @@
 
 use super::fault::{CLOSED, Machine, OUTPUT_TERMINAL, STOP_TERMINAL};
 use crate::STILL_RAD_S;
+use crate::feedback::in_mode;
 use crate::robot::Robot;
 use etherpen::application::{Fault, Mode, StopSource};
-use etherpen::config::{Config, IoDirection, IoPoint, IoRole};
+use etherpen::config::{AxisMode, Config, IoDirection, IoPoint, IoRole};
 use etherpen::messages::{Command, PathVertex};
 use etherpen::motion::Pen;
 use etherpen::robots::{AXES, Position};
@@ -36,10 +37,17 @@ pub(super) struct Situation {
     pub(super) name: &'static str,
     pub(super) mode: Mode,
     speed_mm_s: f64,
+    /// Mode of all drives.
+    drives: AxisMode,
 }
 
 const fn at(name: &'static str, mode: Mode, speed_mm_s: f64) -> Situation {
-    Situation { name, mode, speed_mm_s }
+    Situation {
+        name,
+        mode,
+        speed_mm_s,
+        drives: AxisMode::Velocity,
+    }
 }
 
 /// The tables.
@@ -119,7 +127,7 @@ fn stroke() -> Vec<PathVertex> {
 }
 
 /// The cell of such a robot.
-fn cell(machine: Machine) -> CellOptions {
+fn cell(machine: Machine, drives: AxisMode) -> CellOptions {
     let mut options = CellOptions::default();
     match machine {
         Machine::Usual => {}
@@ -131,15 +139,29 @@ fn cell(machine: Machine) -> CellOptions {
             };
             options.places = (FIRST_ALIAS..).take(AXES).map(place).collect();
         }
-        Machine::Terminals => options.slaves = parse_slaves("ax2000*4,ek1100,el1008,el2004").expect("a chain"),
+        Machine::Terminals => {
+            let drive = match drives {
+                AxisMode::Position => "cia402",
+                AxisMode::Velocity | AxisMode::Torque => "ax2000",
+            };
+            options.slaves = parse_slaves(&format!("{drive}*4,ek1100,el1008,el2004")).expect("a chain");
+        }
     }
     options
 }
 
 impl Situation {
+    /// This situation of a robot whose drives are in position mode.
+    pub(super) fn in_position_mode(self) -> Self {
+        Self {
+            drives: AxisMode::Position,
+            ..self
+        }
+    }
+
     /// The configuration, in which the line is driven at the situation's speed.
     pub(super) fn config(&self, machine: Machine) -> Config {
-        let mut config = Config::default();
+        let mut config = in_mode(self.drives);
         match machine {
             Machine::Usual => {}
             Machine::Aliases => {
@@ -192,7 +214,7 @@ impl Situation {
     /// Brings a robot there.
     pub(super) fn reach(&self, machine: Machine) -> (Robot, Track) {
         let config = self.config(machine);
-        let mut robot = Robot::of(&config, cell(machine));
+        let mut robot = Robot::of(&config, cell(machine, self.drives));
         if machine == Machine::Terminals {
             robot.set_inputs(STOP_TERMINAL, CLOSED);
         }
