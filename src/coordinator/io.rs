@@ -10,7 +10,7 @@ use crate::control::io::{IoPlace, IoReport};
 use crate::control::pen_switch::PenSwitch;
 use crate::control::sampler::{CycleReport, SamplerCommand};
 use crate::ethercat::slave_set::SlaveSet;
-use crate::messages::{IoValues, IoState};
+use crate::messages::{IoState, IoValues};
 use heapless::Vec;
 
 /// Shortest time between two status messages because of inputs and outputs, ms.

@@ -104,7 +104,9 @@ impl FromIterator<u32> for IoWords {
                 _ => 3,
             };
             let place = words.bytes.get_mut(used..used + length(size));
-            let (Some(place), value) = (place, value.to_le_bytes()) else { break };
+            let (Some(place), value) = (place, value.to_le_bytes()) else {
+                break;
+            };
             place.iter_mut().zip(value).for_each(|(place, byte)| *place = byte);
             words.sizes |= size << (2 * word);
             used += length(size);

@@ -238,14 +238,28 @@ mod tests {
 
     /// Everything of a sample, with the bits of its numbers.
     fn bits(sample: &Sample) -> impl PartialEq + core::fmt::Debug {
-        let Sample { t_ms, mode, stroke, pen, io, .. } = *sample;
+        let Sample {
+            t_ms,
+            mode,
+            stroke,
+            pen,
+            io,
+            ..
+        } = *sample;
         let joints = [
             sample.setpoint_rad,
             sample.measured_rad,
             sample.setpoint_rad_s,
             sample.measured_rad_s,
         ];
-        (t_ms, mode, stroke, pen, io, joints.map(|column| column.map(f32::to_bits)))
+        (
+            t_ms,
+            mode,
+            stroke,
+            pen,
+            io,
+            joints.map(|column| column.map(f32::to_bits)),
+        )
     }
 
     fn framed(samples: &[Sample]) -> Vec<u8> {
@@ -263,7 +277,9 @@ mod tests {
         let mut decoder: Decoder = Decoder::new();
         let mut found = None;
         for byte in frame {
-            let Some(Ok(payload)) = decoder.push(*byte) else { continue };
+            let Some(Ok(payload)) = decoder.push(*byte) else {
+                continue;
+            };
             if let Ok(DeviceMessage::Telemetry { samples, .. }) = decode(payload) {
                 found = Some(samples.to_vec());
             }

@@ -165,10 +165,7 @@ pub enum DeviceMessage<P: Protocol> {
         /// Sequence number of the first sample; a gap means that samples were dropped.
         sequence: u32,
         /// The samples.
-        #[serde(
-            serialize_with = "P::serialize_samples",
-            deserialize_with = "P::deserialize_samples"
-        )]
+        #[serde(serialize_with = "P::serialize_samples", deserialize_with = "P::deserialize_samples")]
         samples: Samples<P>,
     },
     /// Answer to [`HostMessage::Measure`].

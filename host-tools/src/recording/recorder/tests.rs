@@ -97,7 +97,14 @@ fn a_recording_as_csv_is_the_telemetry_table_byte_by_byte() {
     use IoType::{Bool, I16, U8, U32};
     let mut config = Config::default();
     // The last one is beyond the room of a sample.
-    let points = [("door", Bool), ("level", I16), ("valve", Bool), ("byte", U8), ("long", U32), ("far", U32)];
+    let points = [
+        ("door", Bool),
+        ("level", I16),
+        ("valve", Bool),
+        ("byte", U8),
+        ("long", U32),
+        ("far", U32),
+    ];
     for (bit, (name, kind)) in (0..).step_by(32).zip(points) {
         let point = IoPoint {
             name: name.try_into().unwrap(),
@@ -144,7 +151,10 @@ fn a_recording_as_csv_is_the_telemetry_table_byte_by_byte() {
         let level = i64::from((t_ms * 37) as u16 as i16);
         let values = [Some(1), Some(level), Some(1), Some(i64::from(t_ms & 0xFF)), None, None];
         let expected: Vec<String> = (0..).zip(values).map(|(place, value)| of(place, value)).collect();
-        assert!(row.ends_with(&format!(",{}", expected.join(","))), "{row}: {expected:?}");
+        assert!(
+            row.ends_with(&format!(",{}", expected.join(","))),
+            "{row}: {expected:?}"
+        );
     }
 }
 
