@@ -179,6 +179,7 @@ mod tests {
     use crate::link::frame::{Decoder, FRAME_BYTES_MAX, decode, encode};
     use crate::messages::DeviceMessage;
     use proptest::prelude::*;
+    use std::vec::Vec;
 
     /// Joint values by their bits: those that are no number included.
     fn joints() -> impl Strategy<Value = [f32; AXES]> {
