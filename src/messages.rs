@@ -3,24 +3,28 @@
 //! [`link`](crate::link) carries the messages; [`RobotProtocol`] gives it the types of this robot. The type aliases
 //! below are the messages with these types.
 
+mod io;
+mod samples;
+
 pub use crate::application::Command;
+pub use io::{IoState, IoValues, IoWords};
 
 use crate::application::{Fault, Mode, Refusal};
 use crate::black_box;
 use crate::board::{Interlock, PortState, PreviousRun, RunEnd};
 use crate::config::{CONFIG_BYTES_MAX, Config, ConfigError, IO_MAX, IoError};
 use crate::ethercat::diagnostics::{ServiceRequest, ServiceResult};
-use crate::link::message::MESSAGE_BYTES_MAX;
+use crate::link::message::{MESSAGE_BYTES_MAX, Samples};
 use crate::link::{CommandEffect, Protocol, device, message};
 use crate::measurement::{MeasurementAnswer, MeasurementRequest};
 use crate::motion::{self, Pen};
 use crate::robot_bus::BUS_SLAVES_MAX;
 use crate::robots::{AXES, GeometryError};
 use heapless::Vec;
-use serde::{Deserialize, Serialize};
+use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// Version of this protocol; both ends must agree.
-pub const PROTOCOL_VERSION: u16 = 15;
+pub const PROTOCOL_VERSION: u16 = 16;
 /// Slaves described in a status: all that the robot's bus can have.
 pub const SLAVES_REPORTED: usize = BUS_SLAVES_MAX;
 
@@ -55,6 +59,14 @@ impl Protocol for RobotProtocol {
             Command::Stop => CommandEffect::Stops,
             _ => CommandEffect::None,
         }
+    }
+
+    fn serialize_samples<S: Serializer>(samples: &[Sample], serializer: S) -> Result<S::Ok, S::Error> {
+        samples::serialize(samples, serializer)
+    }
+
+    fn deserialize_samples<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Samples<Self>, D::Error> {
+        samples::deserialize(deserializer)
     }
 }
 
@@ -102,7 +114,7 @@ pub type DeviceEvent = device::DeviceEvent<RobotProtocol>;
 
 // Beside the configuration: the number of the variant, 1 byte, and that of the request, 3 bytes.
 const _: () = assert!(CONFIG_BYTES_MAX + 4 <= MESSAGE_BYTES_MAX);
-const _: () = assert!(size_of::<DeviceEndpoint>() <= 10 * 1024);
+const _: () = assert!(size_of::<DeviceEndpoint>() <= 11 * 1024);
 
 /// A vertex of the path on the wire: micrometres in the robot's frame.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
@@ -137,33 +149,7 @@ pub struct Sample {
     /// Measured joint velocities, rad/s.
     pub measured_rad_s: [f32; AXES],
     /// The named inputs and outputs.
-    pub io: IoBits,
-}
-
-/// The named inputs and outputs in one millisecond: a bit for each in the order of the configuration, from the lowest bit.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct IoBits {
-    /// Points whose value is not 0: inputs as last read, outputs as written for the next output
-    /// telegram.
-    pub set: u16,
-    /// Points that are not exchanged.
-    pub missing: u16,
-}
-
-impl IoBits {
-    /// Points of which nothing is known.
-    pub const UNKNOWN: Self = Self {
-        set: 0,
-        missing: u16::MAX,
-    };
-
-    /// Whether the value of a point, from 0, is not 0; `None` while it is missing.
-    pub const fn get(self, io: usize) -> Option<bool> {
-        if io >= u16::BITS as usize || self.missing >> io & 1 != 0 {
-            return None;
-        }
-        Some(self.set >> io & 1 != 0)
-    }
+    pub io: IoValues,
 }
 
 /// Counters of the firmware since it started.
@@ -242,15 +228,6 @@ pub struct Status {
     pub slaves: Vec<SlaveStatus, SLAVES_REPORTED>,
     /// The named inputs and outputs, in the order of the configuration.
     pub io: Vec<IoState, IO_MAX>,
-}
-
-/// State of a named input or output.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct IoState {
-    /// Its bits: of an input as last read, of an output as written.
-    pub raw: u32,
-    /// Whether its terminal exchanges it.
-    pub valid: bool,
 }
 
 /// Why a configuration was refused. The previous one stays in force.

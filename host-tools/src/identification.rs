@@ -439,7 +439,7 @@ fn least_squares(equations: &[Equation]) -> Option<[f64; TERMS]> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use etherpen::messages::IoBits;
+    use etherpen::messages::IoValues;
 
     /// Samples of an axis whose drive answers with a gain and a delay, on a smooth swing.
     fn swing(axis: &Axis, gain: f64, delay_ms: usize, amplitude_rad: f64) -> Vec<Sample> {
@@ -466,7 +466,7 @@ mod tests {
                     measured_rad: [angle as f32; AXES],
                     setpoint_rad_s: [velocity(ms) as f32; AXES],
                     measured_rad_s: [speed as f32; AXES],
-                    io: IoBits::default(),
+                    io: IoValues::default(),
                 }
             })
             .collect()

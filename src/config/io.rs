@@ -17,6 +17,10 @@ use serde::{Deserialize, Deserializer, Serialize, Serializer};
 pub const IO_MAX: usize = VALUES_MAX;
 /// Longest name, bytes.
 pub const IO_NAME_MAX: usize = 16;
+/// Most named words whose values are in each sample.
+pub const SAMPLE_WORDS_MAX: usize = 4;
+/// Most bytes of these words together: they fit the serial line beside a drawing.
+pub const SAMPLE_WORD_BYTES_MAX: usize = 8;
 /// Name of a point: letters, digits, `_` and `-`.
 pub type IoName = String<IO_NAME_MAX>;
 /// Process data of one direction, bits.
@@ -451,7 +455,26 @@ pub(super) fn check(points: &IoPoints) -> Result<(), IoError> {
     Ok(())
 }
 
+/// The points, from 0, whose values are in each sample: those of more than one bit, in the order of the configuration, up
+/// to [`SAMPLE_WORDS_MAX`] and [`SAMPLE_WORD_BYTES_MAX`]. Takes the bits of each point.
+pub fn sampled_words(bits: impl Iterator<Item = u8>) -> Vec<u8, SAMPLE_WORDS_MAX> {
+    let (mut words, mut used) = (Vec::new(), 0);
+    for (io, bits) in (0_u8..).zip(bits).filter(|(_, bits)| *bits > 1) {
+        used += usize::from(bits);
+        if used > 8 * SAMPLE_WORD_BYTES_MAX || words.push(io).is_err() {
+            break;
+        }
+    }
+    words
+}
+
 impl Config {
+    /// The points, from 0, whose values are in each sample; see [`sampled_words`].
+    #[must_use]
+    pub fn sampled_words(&self) -> Vec<u8, SAMPLE_WORDS_MAX> {
+        sampled_words(self.io.iter().map(|point| point.kind.bits()))
+    }
+
     /// Places of the terminals: those that the named points need, and those that are listed.
     #[must_use]
     pub fn terminal_places(&self) -> SlaveSet {

@@ -17,6 +17,7 @@ pub use bus::{AddressError, Bus, HostAddress, NetworkSettings, Transport};
 pub use etherpen_motion::settings::{Geometry, MotionLimits, Orientation, Paper, Plane, WorkVolume};
 pub use io::{
     IO_MAX, IO_NAME_MAX, IoDirection, IoError, IoName, IoPoint, IoPoints, IoRole, IoType, ObjectName, OnFault,
+    SAMPLE_WORD_BYTES_MAX, SAMPLE_WORDS_MAX, sampled_words,
 };
 pub use terminal::{TERMINALS_MAX, Terminal, Terminals};
 

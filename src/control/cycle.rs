@@ -8,7 +8,7 @@
 
 use crate::application::{Fault, Power};
 use crate::board::Interlock;
-use crate::config::{Axis, Bus};
+use crate::config::{Axis, Bus, SAMPLE_WORDS_MAX};
 use crate::control::io::{IoPlaces, IoReport};
 use crate::control::pen_switch::PenSwitch;
 use crate::ethercat::cyclic::BusCounters;
@@ -116,6 +116,8 @@ pub struct CycleReport {
     pub interlock: Option<Interlock>,
     /// The named inputs and outputs.
     pub io: IoReport,
+    /// Values of the [sampled words](crate::config::sampled_words), in their order; a missing one has its last value.
+    pub io_words: [u32; SAMPLE_WORDS_MAX],
     /// The sampler's counters.
     pub counters: SamplerCounters,
     /// The bus's counters.

@@ -9,7 +9,7 @@
 
 use crate::application::{Fault, InputCause};
 use crate::board::Interlock;
-use crate::config::{IO_MAX, IoDirection, IoPoint, IoRole, OnFault};
+use crate::config::{IO_MAX, IoDirection, IoPoint, IoRole, OnFault, SAMPLE_WORDS_MAX, sampled_words};
 use crate::drives::io::IoGroup;
 use crate::ethercat::place::Place;
 use heapless::Vec;
@@ -118,6 +118,8 @@ pub struct Io {
     /// Inputs that were open since they arrive, one bit each.
     was_open: u16,
     word_next: u8,
+    /// Points whose values are in each sample.
+    words: Vec<u8, SAMPLE_WORDS_MAX>,
     /// Value of the pen's output with the pen up and down.
     pen_words: [u32; 2],
     report: IoReport,
@@ -142,6 +144,7 @@ impl Io {
             missing_ms: [u16::MAX; IO_MAX],
             was_open: 0,
             word_next: 0,
+            words: Vec::new(),
             pen_words: [0; 2],
             report: IoReport {
                 set: 0,
@@ -159,6 +162,7 @@ impl Io {
     #[cold]
     pub fn configure(&mut self, points: IoPlaces, pen_words: [u32; 2]) {
         *self = Self::new();
+        self.words = sampled_words(points.iter().map(|point| point.bits));
         (self.points, self.pen_words) = (points, pen_words);
     }
 
@@ -189,6 +193,14 @@ impl Io {
     #[inline]
     pub const fn report(&self) -> &IoReport {
         &self.report
+    }
+
+    /// Copies the values of the words that are in each sample; the rest of `to` is left as it is.
+    #[inline]
+    pub fn copy_words(&self, to: &mut [u32; SAMPLE_WORDS_MAX]) {
+        for (io, to) in self.words.iter().zip(to) {
+            *to = self.values.get(usize::from(*io)).copied().unwrap_or(0);
+        }
     }
 
     /// Whether an input is open; `None` while it does not arrive.

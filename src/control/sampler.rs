@@ -701,6 +701,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         now.fault = self.supervision.fault();
         now.interlock = self.interlock.or(self.io.interlock());
         now.io = *self.io.report();
+        self.io.copy_words(&mut now.io_words);
         now.counters = self.counters;
         now.bus = self.group.counters();
         if !queue::put_copy(&mut self.reports, now) {

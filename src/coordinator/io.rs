@@ -5,12 +5,12 @@
 use super::Coordinator;
 use crate::application::{IoRefusal, Refusal};
 use crate::board::Lamps;
-use crate::config::{Config, IO_MAX, IoDirection, IoPoint, IoRole};
+use crate::config::{Config, IO_MAX, IoDirection, IoPoint, IoRole, SAMPLE_WORDS_MAX};
 use crate::control::io::{IoPlace, IoReport};
 use crate::control::pen_switch::PenSwitch;
-use crate::control::sampler::SamplerCommand;
+use crate::control::sampler::{CycleReport, SamplerCommand};
 use crate::ethercat::slave_set::SlaveSet;
-use crate::messages::{IoBits, IoState};
+use crate::messages::{IoState, IoValues};
 use heapless::Vec;
 
 /// Shortest time between two status messages because of inputs and outputs, ms.
@@ -28,6 +28,8 @@ struct Point {
 pub(super) struct Io {
     points: Vec<Point, IO_MAX>,
     states: Vec<IoState, IO_MAX>,
+    /// Points whose values are in each sample.
+    words: Vec<u8, SAMPLE_WORDS_MAX>,
     /// Places of terminals whose failure is no fault.
     spared: SlaveSet,
     /// How often a state has changed, wrapping.
@@ -43,6 +45,7 @@ impl Io {
         Self {
             points: Vec::new(),
             states: Vec::new(),
+            words: Vec::new(),
             spared: SlaveSet::NONE,
             changes: 0,
             lamp: None,
@@ -58,6 +61,7 @@ impl Io {
         };
         self.points = config.io.iter().map(point).collect();
         self.states = config.io.iter().map(|_| IoState::default()).collect();
+        self.words = config.sampled_words();
         let needed = config.io.iter().filter(|point| point.role.is_needed());
         let needed = needed.map(|point| usize::from(point.slave)).collect();
         self.spared = config.terminal_places().without(needed);
@@ -71,11 +75,14 @@ impl Io {
     }
 
     /// The points of a report for a sample.
-    pub(super) fn bits(&self, report: &IoReport) -> IoBits {
+    pub(super) fn values(&self, report: &CycleReport) -> IoValues {
         let points = (1_u32 << self.points.len()) - 1;
-        IoBits {
-            set: report.set,
-            missing: points as u16 & !report.valid,
+        let CycleReport { io, io_words, .. } = report;
+        let value = |(place, value): (&u8, &u32)| if io.valid >> place & 1 != 0 { *value } else { 0 };
+        IoValues {
+            set: io.set,
+            missing: points as u16 & !io.valid,
+            words: self.words.iter().zip(io_words).map(value).collect(),
         }
     }
 

@@ -119,7 +119,7 @@ impl Coordinator<'_> {
                 [0.0; 4]
             },
             measured_rad_s: single(&report.measured_rad_s),
-            io: self.io.bits(&report.io),
+            io: self.io.values(report),
         }
     }
 }

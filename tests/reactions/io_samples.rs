@@ -4,7 +4,7 @@ use crate::robot::Robot;
 use etherpen::application::Mode;
 use etherpen::config::{Config, IoDirection, IoPoint, IoRole, IoType};
 use etherpen::ethercat::cyclic::ExchangeKind;
-use etherpen::messages::{Command, IoBits};
+use etherpen::messages::{Command, IoValues};
 use host_tools::cell::{CellOptions, Fault as CellFault, parse_slaves};
 use host_tools::random::Random;
 
@@ -49,7 +49,7 @@ fn robot(exchange: ExchangeKind) -> Robot {
 }
 
 /// The points at a time of the device.
-fn at(robot: &Robot, t_ms: u64) -> IoBits {
+fn at(robot: &Robot, t_ms: u64) -> IoValues {
     let found = robot.samples.iter().find(|sample| u64::from(sample.t_ms) == t_ms);
     found.unwrap_or_else(|| panic!("no sample of {t_ms} ms")).io
 }

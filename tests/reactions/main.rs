@@ -20,6 +20,7 @@ mod homing;
 mod identity;
 mod io;
 mod io_samples;
+mod io_words;
 mod limits;
 mod liveness;
 mod matrix;

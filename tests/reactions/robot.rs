@@ -343,7 +343,12 @@ impl Robot {
 
     /// Sets the inputs of a terminal, from 1.
     pub(crate) fn set_inputs(&mut self, slave: usize, inputs: u8) {
-        self.cell.lock().unwrap().set_inputs(slave, &[inputs]);
+        self.set_input_bytes(slave, &[inputs]);
+    }
+
+    /// Sets the first inputs of a terminal, from 1.
+    pub(crate) fn set_input_bytes(&mut self, slave: usize, inputs: &[u8]) {
+        self.cell.lock().unwrap().set_inputs(slave, inputs);
     }
 
     /// The outputs of a terminal, from 1, as they act outside.
@@ -353,9 +358,15 @@ impl Robot {
 
     /// First 16 bits of a terminal's outputs.
     pub(crate) fn output_word(&self, slave: usize) -> u16 {
+        let [word, _] = self.output_words(slave);
+        word
+    }
+
+    /// First 32 bits of a terminal's outputs, as they act outside.
+    pub(crate) fn output_words(&self, slave: usize) -> [u16; 2] {
         let outputs = self.cell.lock().unwrap().outputs(slave).unwrap_or_default();
         let byte = |at: usize| outputs.get(at).copied().unwrap_or(0);
-        u16::from_le_bytes([byte(0), byte(1)])
+        [0, 2].map(|at| u16::from_le_bytes([byte(at), byte(at + 1)]))
     }
 
     /// Largest parts of their limits that the comparisons of the feedback have used since the last call.

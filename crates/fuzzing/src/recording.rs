@@ -2,7 +2,7 @@
 
 use etherpen::application::Mode;
 use etherpen::config::Config;
-use etherpen::messages::{IoBits, Sample};
+use etherpen::messages::{IoValues, Sample};
 use etherpen::motion::Pen;
 use etherpen::robots::AXES;
 use etherpen_segment::capture::{Capture, Direction};
@@ -65,7 +65,7 @@ fn sample(t_ms: u32) -> Sample {
         measured_rad: [angle + 0.001; AXES],
         setpoint_rad_s: [0.1; AXES],
         measured_rad_s: [0.11; AXES],
-        io: IoBits::default(),
+        io: IoValues::default(),
     }
 }
 

@@ -31,7 +31,8 @@ mod requests;
 mod sender;
 
 use core::fmt::Debug;
-use serde::{Serialize, de::DeserializeOwned};
+use message::Samples;
+use serde::{Deserialize, Deserializer, Serialize, Serializer, de::DeserializeOwned};
 
 /// What a message may contain: a value that serde can encode and decode without borrowed parts.
 pub trait Content: Clone + Debug + PartialEq + Serialize + DeserializeOwned {}
@@ -77,6 +78,23 @@ pub trait Protocol: Clone + Debug + PartialEq {
 
     /// What an accepted command means to the link.
     fn effect(command: &Self::Command) -> CommandEffect;
+
+    /// Writes the samples of one message, up to [`message::SAMPLES_PER_MESSAGE`]. A protocol whose samples are much alike
+    /// can write them shorter than one after the other.
+    ///
+    /// # Errors
+    /// Errors of the serializer.
+    fn serialize_samples<S: Serializer>(samples: &[Self::Sample], serializer: S) -> Result<S::Ok, S::Error> {
+        samples.serialize(serializer)
+    }
+
+    /// Reads what [`Self::serialize_samples`] has written.
+    ///
+    /// # Errors
+    /// Errors of the deserializer; more samples than a message has.
+    fn deserialize_samples<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Samples<Self>, D::Error> {
+        Samples::<Self>::deserialize(deserializer)
+    }
 }
 
 /// What a command means to the link.

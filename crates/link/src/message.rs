@@ -15,6 +15,9 @@ pub const VERTICES_PER_MESSAGE: usize = 16;
 /// Samples in one telemetry message.
 pub const SAMPLES_PER_MESSAGE: usize = 4;
 
+/// Samples of one message.
+pub type Samples<P> = Vec<<P as Protocol>::Sample, SAMPLES_PER_MESSAGE>;
+
 /// Vertices of one message.
 pub type PathVertices<P> = Vec<<P as Protocol>::Vertex, VERTICES_PER_MESSAGE>;
 
@@ -162,7 +165,8 @@ pub enum DeviceMessage<P: Protocol> {
         /// Sequence number of the first sample; a gap means that samples were dropped.
         sequence: u32,
         /// The samples.
-        samples: Vec<P::Sample, SAMPLES_PER_MESSAGE>,
+        #[serde(serialize_with = "P::serialize_samples", deserialize_with = "P::deserialize_samples")]
+        samples: Samples<P>,
     },
     /// Answer to [`HostMessage::Measure`].
     Measured {

@@ -9,7 +9,7 @@ use crate::recording::{About, Playback, Recorder};
 use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::link::message::SAMPLES_PER_MESSAGE;
-use etherpen::messages::{IoBits, Sample};
+use etherpen::messages::{IoValues, Sample};
 use etherpen::motion::Pen;
 use etherpen::robots::AXES;
 use std::io::{self, BufReader, PipeWriter};
@@ -101,7 +101,7 @@ fn sample(t_ms: u32) -> Sample {
         measured_rad: angles(0.001),
         setpoint_rad_s: speeds(0.0),
         measured_rad_s: speeds(0.001),
-        io: IoBits::default(),
+        io: IoValues::default(),
     }
 }
 

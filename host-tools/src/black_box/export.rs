@@ -15,7 +15,7 @@ use etherpen::black_box::{Direction, Event};
 use etherpen::board::Interlock;
 use etherpen::config::Config;
 use etherpen::drives::cia402::{DriveState, StatusWord};
-use etherpen::messages::{IoBits, Sample};
+use etherpen::messages::{IoValues, Sample};
 use etherpen::motion::Pen;
 use etherpen::robots::{AXES, JointAngles, Kinematics, Position};
 use etherpen_segment::capture::{self, Capture};
@@ -227,10 +227,10 @@ fn sample(entry: &SampleEntry, mode: Mode, [setpoint_rad_s, measured_rad_s]: Spe
         measured_rad: entry.measured_rad,
         setpoint_rad_s,
         measured_rad_s,
-        // What is missing is not recorded.
-        io: IoBits {
+        // Words, and what is missing, are not recorded.
+        io: IoValues {
             set: entry.io_set,
-            missing: 0,
+            ..IoValues::default()
         },
     }
 }

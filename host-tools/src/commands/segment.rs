@@ -24,7 +24,7 @@ const PAUSE_TOLD_MS: u64 = 100;
 pub struct Arguments {
     #[command(flatten)]
     segment: SegmentArguments,
-    /// Slaves in the order of the chain: ax2000, cia402, akd, ek1100, ek1122, el1004, el1008, el2004, el2008, ao2, blank,
+    /// Slaves in the order of the chain: ax2000, cia402, akd, ek1100, ek1122, el1004, el1008, el2004, el2008, ai2, ao2, blank,
     /// sii:FILE or esi:FILE#DEVICE (DEVICE: type or product code, with :REVISION if need be), with *N for N of a kind,
     /// for instance ax2000*4,ek1100,el2004. Settings of a slave follow its kind: @name=NAME (for commands), @alias=N,
     /// @serial=N, @id=N (its switches), @password=N (of its files), @clock=32 or 64, @range=turn (a drive whose

@@ -243,7 +243,7 @@ fn distance(a: &[f32; 3], b: &[f32; 3]) -> f32 {
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;
-    use etherpen::messages::IoBits;
+    use etherpen::messages::IoValues;
 
     /// A sample in which every axis is at this angle.
     pub(crate) fn sample(t_ms: u32, angle_rad: f32) -> Sample {
@@ -256,7 +256,7 @@ pub(crate) mod tests {
             measured_rad: [angle_rad; AXES],
             setpoint_rad_s: [0.0; AXES],
             measured_rad_s: [0.0; AXES],
-            io: IoBits::default(),
+            io: IoValues::default(),
         }
     }
 

@@ -10,7 +10,7 @@ use etherpen::link::device::{Identity, LINE_BYTES_PER_MS};
 use etherpen::link::frame::Decoder;
 use etherpen::link::ports::LinkPort;
 use etherpen::measurement::Measurements;
-use etherpen::messages::{Command, Counters, IoBits, PathVertex, RecordAnswer, RecordRequest, Sample, Status};
+use etherpen::messages::{Command, Counters, IoValues, PathVertex, RecordAnswer, RecordRequest, Sample, Status};
 use etherpen::messages::{DeviceEndpoint, DeviceEvent};
 use etherpen::motion::Pen;
 use etherpen::robots::{AXES, Kinematics, Position};
@@ -355,7 +355,7 @@ impl Rig {
             measured_rad,
             setpoint_rad_s: [0.0; AXES],
             measured_rad_s: [0.0; AXES],
-            io: IoBits::default(),
+            io: IoValues::default(),
         }
     }
 }

@@ -136,7 +136,7 @@ mod tests {
     use super::*;
     use crate::error::code;
     use etherpen::application::Mode;
-    use etherpen::messages::IoBits;
+    use etherpen::messages::IoValues;
     use etherpen::motion::Pen;
 
     #[test]
@@ -150,7 +150,7 @@ mod tests {
             measured_rad: [f32::NAN, f32::INFINITY, 0.2, 0.3],
             setpoint_rad_s: [1.0; 4],
             measured_rad_s: [2.0; 4],
-            io: IoBits::default(),
+            io: IoValues::default(),
         };
         let account = Account::Samples {
             missing: 2,

@@ -1,7 +1,7 @@
 //! The messages of a recording: their ROS 2 definitions and their bytes (CDR, little-endian).
 //!
-//! Foxglove and PlotJuggler decode the messages with the definitions in the file. A sample takes 112 bytes, a quarter
-//! of its size as JSON, and its numbers are bit-identical to the firmware's. Fields are named like the columns of
+//! Foxglove and PlotJuggler decode the messages with the definitions in the file. A sample takes 116 bytes and 4 for
+//! each named word in it, a quarter of its size as JSON, and its numbers are bit-identical to the firmware's. Fields are named like the columns of
 //! `telemetry.csv`, units last. Every message is one struct; only the primitive types of CDR are used.
 //!
 //! Invariant: bytes that are not a valid message give `None`.
@@ -9,7 +9,8 @@
 use super::bytes::Numbers;
 use super::mcap::Topic;
 use etherpen::application::Mode;
-use etherpen::messages::{Counters, IoBits, Sample};
+use etherpen::config::SAMPLE_WORDS_MAX;
+use etherpen::messages::{Counters, IoValues, IoWords, Sample};
 use etherpen::motion::Pen;
 use etherpen::robots::{AXES, Position};
 
@@ -90,6 +91,8 @@ pub const EVENT: u16 = 4;
 
 /// Bytes of a sample in recordings from before it had named inputs and outputs.
 const BYTES_WITHOUT_IO: usize = 108;
+/// Bytes of a sample in recordings from before it had named words.
+const BYTES_WITHOUT_WORDS: usize = 112;
 
 /// Topic of what only a black box records; a recording has none.
 pub const BLACK_BOX: &str = "/black_box";
@@ -138,7 +141,9 @@ const SAMPLE_SCHEMA: &str = concat!(
      float32 q3_ref_rad\nfloat32 q3_rad\nfloat32 v3_ref_rad_s\nfloat32 v3_rad_s\n\
      float32 q4_ref_rad\nfloat32 q4_rad\nfloat32 v4_ref_rad_s\nfloat32 v4_rad_s\n\
      # The named inputs and outputs, from the lowest bit in the order of the configuration: not 0; not exchanged.\n\
-     uint16 io_set\nuint16 io_missing\n"
+     uint16 io_set\nuint16 io_missing\n\
+     # The bits of the first named words, in the order of the configuration; absent before it had any:\n\
+     uint32[] io_words\n"
 );
 
 const STATUS_SCHEMA: &str = concat!(
@@ -177,6 +182,8 @@ impl Moment {
         }
         cdr.short(sample.io.set);
         cdr.short(sample.io.missing);
+        cdr.word(sample.io.words.values().count() as u32);
+        sample.io.words.values().for_each(|value| cdr.word(value));
     }
 
     /// Reads a message's bytes.
@@ -197,10 +204,14 @@ impl Moment {
             }
         }
         let io = match bytes.len() {
-            BYTES_WITHOUT_IO => IoBits::UNKNOWN,
-            _ => IoBits {
+            BYTES_WITHOUT_IO => IoValues::UNKNOWN,
+            _ => IoValues {
                 set: cdr.short()?,
                 missing: cdr.short()?,
+                words: match bytes.len() {
+                    BYTES_WITHOUT_WORDS => IoWords::NONE,
+                    _ => cdr.io_words()?,
+                },
             },
         };
         let [setpoint_rad, measured_rad, setpoint_rad_s, measured_rad_s] = columns;
@@ -418,6 +429,14 @@ impl<'a> Decoder<'a> {
         Some(Self { bytes, place: 0 })
     }
 
+    /// Reads the words of a sample; none if they are more than a sample has.
+    fn io_words(&mut self) -> Option<IoWords> {
+        let count = self.word()? as usize;
+        let values: Option<Vec<u32>> = (0..count.min(SAMPLE_WORDS_MAX + 1)).map(|_| self.word()).collect();
+        let words: IoWords = values?.into_iter().collect();
+        (words.values().count() == count).then_some(words)
+    }
+
     fn text(&mut self) -> Option<String> {
         let length = self.word()? as usize;
         let end = self.place.checked_add(length)?;
@@ -451,9 +470,10 @@ mod tests {
                 measured_rad: [1.1, 1.2, 1.3, f32::NAN],
                 setpoint_rad_s: [2.1, 2.2, 2.3, 2.4],
                 measured_rad_s: [3.1, 3.2, 3.3, -0.0],
-                io: IoBits {
+                io: IoValues {
                     set: 0x8001,
                     missing: 0x0102,
+                    words: [0xFFFF, 0, 0x1234].into_iter().collect(),
                 },
             },
             position: Position {
@@ -468,7 +488,7 @@ mod tests {
     fn a_sample_comes_back_bit_by_bit_and_is_as_long_as_the_header_says() {
         let mut bytes = Vec::new();
         moment().encode(&mut bytes);
-        assert_eq!(bytes.len(), 112);
+        assert_eq!(bytes.len(), 116 + 3 * 4);
         let back = Moment::decode(&bytes).unwrap();
         let bits =
             |moment: &Moment| -> Vec<u32> { axes(&moment.sample).flat_map(|axis| axis.map(f32::to_bits)).collect() };
@@ -478,13 +498,33 @@ mod tests {
     }
 
     #[test]
-    fn a_sample_from_before_it_had_inputs_is_read_and_half_of_them_is_not() {
+    fn samples_from_before_they_had_inputs_or_words_are_read_and_half_of_them_are_not() {
         let mut bytes = Vec::new();
         moment().encode(&mut bytes);
         let older = Moment::decode(&bytes[..BYTES_WITHOUT_IO]).expect("a sample");
-        assert_eq!((older.sample.io, older.sample.io.get(0)), (IoBits::UNKNOWN, None));
+        assert_eq!((older.sample.io, older.sample.io.get(0)), (IoValues::UNKNOWN, None));
         assert_eq!(older.position, moment().position);
         assert_eq!(Moment::decode(&bytes[..110]), None);
+        let without_words = Moment::decode(&bytes[..BYTES_WITHOUT_WORDS]).expect("a sample");
+        let io = moment().sample.io;
+        let words = IoWords::NONE;
+        assert_eq!(without_words.sample.io, IoValues { words, ..io });
+        assert_eq!(Moment::decode(&bytes[..BYTES_WITHOUT_WORDS + 4]), None);
+    }
+
+    #[test]
+    fn more_words_than_a_sample_has_are_refused() {
+        let mut bytes = Vec::new();
+        moment().encode(&mut bytes);
+        bytes.truncate(BYTES_WITHOUT_WORDS);
+        for words in [&[1; SAMPLE_WORDS_MAX + 1][..], &[u32::MAX; 3]] {
+            let mut longer = bytes.clone();
+            longer.extend((words.len() as u32).to_le_bytes());
+            longer.extend(words.iter().flat_map(|word| word.to_le_bytes()));
+            assert_eq!(Moment::decode(&longer), None);
+        }
+        bytes.extend([0xFF; 4]);
+        assert_eq!(Moment::decode(&bytes), None);
     }
 
     #[test]
@@ -529,7 +569,7 @@ mod tests {
         let mut bytes = Vec::new();
         moment().encode(&mut bytes);
         for length in 0..bytes.len() {
-            let is_older = length == BYTES_WITHOUT_IO;
+            let is_older = [BYTES_WITHOUT_IO, BYTES_WITHOUT_WORDS].contains(&length);
             assert_eq!(Moment::decode(&bytes[..length]).is_some(), is_older, "{length}");
             assert_eq!(State::decode(&bytes[..length]), None, "{length}");
             Event::decode(&bytes[..length]);

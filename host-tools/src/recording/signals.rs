@@ -7,7 +7,8 @@
 use super::messages::{Moment, axes};
 use crate::axes::{Motion, Quantity as JointQuantity};
 use etherpen::application::Mode;
-use etherpen::config::{Config, IoPoint};
+use etherpen::config::{Config, IoPoint, IoType};
+use etherpen::messages::IoValues;
 use etherpen::motion::Pen;
 use etherpen::robots::AXES;
 use std::collections::VecDeque;
@@ -30,8 +31,42 @@ enum Quantity {
     Axis(usize, usize, Motion),
     /// Following error of an axis.
     Error(usize, Motion),
-    /// A named input or output, by its place in the configuration.
-    Io(usize),
+    /// A named input or output.
+    Io(IoColumn),
+}
+
+/// The column of a named input or output.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct IoColumn {
+    /// Its place in the configuration.
+    place: usize,
+    kind: IoType,
+    /// Its place among the words of a sample; `None` for a bit, and for a word that is not in the samples.
+    word: Option<usize>,
+}
+
+impl IoColumn {
+    /// The columns of a machine's named inputs and outputs.
+    pub fn all(config: &Config) -> impl Iterator<Item = Self> {
+        let words = config.sampled_words();
+        let column = move |(place, point): (usize, &IoPoint)| Self {
+            place,
+            kind: point.kind,
+            word: words.iter().position(|word| usize::from(*word) == place),
+        };
+        config.io.iter().enumerate().map(column)
+    }
+
+    /// The value in a sample: of a bit 0 or 1; `None` while the point is missing, and for a word that is not 0 and not in
+    /// the sample.
+    pub fn value(&self, io: &IoValues) -> Option<i64> {
+        let is_set = io.get(self.place)?;
+        if self.kind == IoType::Bool || !is_set {
+            return Some(is_set.into());
+        }
+        let raw = self.word.and_then(|word| io.words.values().nth(word))?;
+        Some(self.kind.value(raw))
+    }
 }
 
 /// One signal.
@@ -78,7 +113,7 @@ impl Signal {
         }
     }
 
-    /// Whether the signal is a state, whose values cannot be interpolated.
+    /// Whether the signal is a state or a word of a terminal, whose values cannot be interpolated.
     pub fn is_state(&self) -> bool {
         matches!(
             self.quantity,
@@ -136,13 +171,13 @@ pub fn columns(config: &Config) -> Vec<Signal> {
             ));
         }
     }
-    for (place, point) in config.io.iter().enumerate() {
-        signals.push(Signal::new(io_column(point), "", Quantity::Io(place)));
+    for (point, column) in config.io.iter().zip(IoColumn::all(config)) {
+        signals.push(Signal::new(io_column(point), "", Quantity::Io(column)));
     }
     signals
 }
 
-/// The column of a named input or output.
+/// Name of the column of a named input or output.
 pub fn io_column(point: &IoPoint) -> String {
     format!("io_{}", point.name)
 }
@@ -271,10 +306,10 @@ impl Evaluator {
                     Value::Real(f64::from(*value) * motion.factor(), decimals)
                 })
             }
-            Quantity::Io(place) => match sample.io.get(place) {
-                Some(set) => Value::Real(f64::from(u8::from(set)), 0),
-                None => Value::Missing,
-            },
+            // Every word is exact in double precision.
+            Quantity::Io(column) => column
+                .value(&sample.io)
+                .map_or(Value::Missing, |value| Value::Real(value as f64, 0)),
             Quantity::Error(axis, motion) => self.error(axis, moment).map_or(Value::Missing, |error| {
                 Value::Real(error * motion.factor(), motion.decimals(JointQuantity::Position))
             }),

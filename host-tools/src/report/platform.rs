@@ -59,7 +59,7 @@ mod tests {
     use super::*;
     use crate::planning::plan;
     use etherpen::application::Mode;
-    use etherpen::messages::IoBits;
+    use etherpen::messages::IoValues;
     use etherpen::motion::{Pen, Vertex};
 
     /// A path's references as telemetry carries them, and the largest acceleration of the references themselves.
@@ -89,7 +89,7 @@ mod tests {
                 measured_rad: [0.0; AXES],
                 setpoint_rad_s: sample.setpoint.velocity_rad_s.map(|speed| speed as f32),
                 measured_rad_s: [0.0; AXES],
-                io: IoBits::default(),
+                io: IoValues::default(),
             });
         })
         .unwrap();

@@ -4,20 +4,20 @@
 
 use super::{Row, strokes};
 use crate::axes::{Quantity, axes};
-use crate::recording::signals::io_column;
+use crate::recording::signals::{IoColumn, io_column};
 use etherpen::config::Config;
 use etherpen::motion::{Pen, Vertex};
 use etherpen::robots::Position;
 use std::io::{self, Write};
 
 /// Writes `telemetry.csv`: the columns of every axis that the machine has, in the axis's unit, and of
-/// every named input and output: 1 where it is not 0, empty while it is missing.
+/// every named input and output: its value, empty while it is missing or not in the samples.
 ///
 /// # Errors
 /// Errors of the writer.
 pub fn write_telemetry(config: &Config, rows: &[Row], mut out: impl Write) -> io::Result<()> {
     write!(out, "t_ms,mode,stroke,pen,x_mm,y_mm,z_mm")?;
-    let axes = axes(config);
+    let (axes, points): (_, Vec<IoColumn>) = (axes(config), IoColumn::all(config).collect());
     for column in axes.iter().flat_map(|axis| axis.columns()) {
         write!(out, ",{column}")?;
     }
@@ -49,9 +49,9 @@ pub fn write_telemetry(config: &Config, rows: &[Row], mut out: impl Write) -> io
             );
             write!(out, ",{q_ref:.of_q$},{q:.of_q$},{v_ref:.of_v$},{v:.of_v$}")?;
         }
-        for io in 0..config.io.len() {
-            match sample.io.get(io) {
-                Some(set) => write!(out, ",{}", u8::from(set))?,
+        for point in &points {
+            match point.value(&sample.io) {
+                Some(value) => write!(out, ",{value}")?,
                 None => write!(out, ",")?,
             }
         }

@@ -227,7 +227,7 @@ fn panel(picture: &mut Picture, times: [f64; 2], panel: &Panel) {
 mod tests {
     use super::*;
     use etherpen::application::Mode;
-    use etherpen::messages::IoBits;
+    use etherpen::messages::IoValues;
     use etherpen::motion::Pen;
     use etherpen::robots::{AXES, Kind};
 
@@ -242,7 +242,7 @@ mod tests {
             measured_rad: [angle + if ms == 3_000 { 1e-3 } else { 1e-5 }; AXES],
             setpoint_rad_s: [0.0; AXES],
             measured_rad_s: [0.0; AXES],
-            io: IoBits::default(),
+            io: IoValues::default(),
         }
     }
 

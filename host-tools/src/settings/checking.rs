@@ -11,7 +11,7 @@ use super::reading::{self, ReadingError};
 use super::shortened;
 use crate::axes::{AxisView, Motion, Quantity, axes};
 use crate::link::text;
-use etherpen::config::{Config, ConfigError, IoError, IoRole};
+use etherpen::config::{Config, ConfigError, IoError, IoRole, IoType, SAMPLE_WORD_BYTES_MAX, SAMPLE_WORDS_MAX};
 use etherpen::motion::{WorkArea, effective_jerk_window_ms};
 use etherpen::robots::{GeometryError, Kinematics, MAIN_AXES, Position};
 use serde::Serialize;
@@ -307,6 +307,7 @@ pub fn check(text: &str) -> Vec<Finding> {
             Ok(_) => checks.reach(&mut found),
         }
         checks.pen(&mut found);
+        checks.words(&mut found);
         checks.jerk_window(&mut found);
         checks.axes(&mut found);
         homing::check(&checks, &mut found);
@@ -392,6 +393,24 @@ impl Checks<'_> {
                 text: "an output lowers the pen, and no output does: write an [[io]] with direction = \"out\" and \
                        role = \"pen\", or kind = \"axis\" in [pen]"
                     .into(),
+            });
+        }
+    }
+
+    /// Which words are not in the samples.
+    fn words(&self, found: &mut Vec<Finding>) {
+        let sampled = self.config.sampled_words();
+        let points = (0_u8..).zip(&self.config.io);
+        for (io, point) in points.filter(|(io, point)| point.kind != IoType::Bool && !sampled.contains(io)) {
+            found.push(Finding {
+                gravity: Gravity::Warning,
+                line: self.places.of_io(io),
+                text: format!(
+                    "the value of {} is not in telemetry and recordings each millisecond, only in the status: there is room \
+                     for the first {SAMPLE_WORDS_MAX} words of [[io]] with {SAMPLE_WORD_BYTES_MAX} bytes together; write \
+                     those that matter first",
+                    point.name
+                ),
             });
         }
     }

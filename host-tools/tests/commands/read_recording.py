@@ -24,7 +24,8 @@ def fields_of(definition):
             name, value = name.split("=")
             modes[int(value)] = name.replace("_", "").lower()
             continue
-        letter, size = KINDS[kind]
+        # A sequence: its length, then its elements. It is the last field.
+        letter, size = KINDS["uint32" if kind.endswith("[]") else kind]
         place = 4 + (place - 4 + size - 1) // size * size
         fields.append((name, "<" + letter, place))
         place += size
@@ -59,7 +60,7 @@ def main(recording, table):
                 assert (schema.encoding, channel.message_encoding) == ("ros2msg", "cdr")
                 fields, modes = fields_of(schema.data.decode())
                 points = [name for name in rows[0] if name.startswith("io_")]
-                numbers = {name for name, _, _ in fields} - {"io_set", "io_missing"}
+                numbers = {name for name, _, _ in fields} - {"io_set", "io_missing", "io_words"}
                 assert numbers and numbers == set(rows[0]) - set(points)
             row = rows[count]
             bits = {}

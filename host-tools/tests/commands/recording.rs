@@ -3,7 +3,7 @@
 use crate::program::{Folder, Running, etherpen, run, strokes, wait_until};
 use etherpen::application::Mode;
 use etherpen::link::frame::{Decoder, FRAME_BYTES_MAX, PAYLOAD_BYTES_MAX, decode, encode};
-use etherpen::messages::{DeviceMessage, HostMessage, IoBits, PROTOCOL_VERSION, Sample, Status, Welcome};
+use etherpen::messages::{DeviceMessage, HostMessage, IoValues, PROTOCOL_VERSION, Sample, Status, Welcome};
 use etherpen::motion::Pen;
 use host_tools::error::code;
 use host_tools::setup;
@@ -217,7 +217,7 @@ fn sample(t_ms: u32) -> Sample {
         measured_rad: [0.4; 4],
         setpoint_rad_s: [0.0; 4],
         measured_rad_s: [0.1; 4],
-        io: IoBits::default(),
+        io: IoValues::default(),
     }
 }
 

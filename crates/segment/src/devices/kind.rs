@@ -33,6 +33,8 @@ pub enum SlaveKind {
     El2004,
     /// `el2008`: terminal with eight digital outputs.
     El2008,
+    /// `ai2`: terminal with two analogue inputs of 16 bits, of no manufacturer.
+    Ai2,
     /// `ao2`: terminal with two analogue outputs of 16 bits, of no manufacturer.
     Ao2,
     /// `blank`: a board whose information memory was never written; nothing answers its state requests.
@@ -45,7 +47,7 @@ pub enum SlaveKind {
 
 impl SlaveKind {
     /// Words of a list, but for images from files.
-    pub(crate) const NAMES: [(&'static str, Self); 11] = [
+    pub(crate) const NAMES: [(&'static str, Self); 12] = [
         ("ax2000", Self::Ax2000),
         ("cia402", Self::Cia402),
         ("akd", Self::Akd),
@@ -55,6 +57,7 @@ impl SlaveKind {
         ("el1008", Self::El1008),
         ("el2004", Self::El2004),
         ("el2008", Self::El2008),
+        ("ai2", Self::Ai2),
         ("ao2", Self::Ao2),
         ("blank", Self::Blank),
     ];
@@ -107,6 +110,7 @@ impl SlaveKind {
             (Self::El1008, _) => Box::new(terminal::EL1008.device()),
             (Self::El2004, _) => Box::new(terminal::EL2004.device()),
             (Self::El2008, _) => Box::new(terminal::EL2008.device()),
+            (Self::Ai2, _) => Box::new(terminal::AI2.device()),
             (Self::Ao2, _) => Box::new(terminal::AO2.device()),
             (Self::Blank, _) => Box::new(ImageDevice::blank()),
             (_, servo) => Box::new(Coupler::new(servo)),

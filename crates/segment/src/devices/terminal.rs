@@ -2,7 +2,7 @@
 //!
 //! They have no processor: the controller emulates the device and gives the bits of its first sync manager to the
 //! outside. Each channel is a PDO of one entry. Values of Beckhoff's EL1004, EL1008, EL2004 and EL2008; the analogue
-//! terminal has this project's own numbers.
+//! terminals have this project's own numbers.
 
 use crate::controller::silicon::Silicon;
 use crate::devices::image_device::ImageDevice;
@@ -82,6 +82,17 @@ pub(crate) const EL2008: Terminal = Terminal {
     ..EL2004
 };
 
+/// Two analogue inputs of 16 bits.
+pub(crate) const AI2: Terminal = Terminal {
+    name: "AI2 2 analogue inputs 16 bit",
+    order: "AI2",
+    vendor: 0x0000_0E7E,
+    product: 0x0000_0A03,
+    channels: 2,
+    bits: 16,
+    ..EL1004
+};
+
 /// Two analogue outputs of 16 bits.
 pub(crate) const AO2: Terminal = Terminal {
     name: "AO2 2 analogue outputs 16 bit",
@@ -105,7 +116,7 @@ impl Terminal {
                 &[0x02, 0xFF],
                 SyncManagerDefault {
                     start: 0x1000,
-                    length: 1,
+                    length: (u16::from(self.channels) * u16::from(self.bits)).div_ceil(8),
                     control: 0x00,
                     activate: 0x01,
                     kind: 4,

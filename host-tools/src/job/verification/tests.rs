@@ -1,7 +1,7 @@
 use super::*;
 use crate::planning::{PlannedSample as Planned, plan};
 use crate::random::Lcg;
-use etherpen::messages::IoBits;
+use etherpen::messages::IoValues;
 use etherpen::motion::Vertex;
 
 const LIFT_MM: f64 = 5.0;
@@ -71,7 +71,7 @@ fn telemetry(config: &Config, path: &[Vertex]) -> Vec<Sample> {
                 measured_rad: before.position_rad.map(|rad| rad as f32),
                 setpoint_rad_s: now.velocity_rad_s.map(|rad_s| rad_s as f32),
                 measured_rad_s: before.velocity_rad_s.map(|rad_s| rad_s as f32),
-                io: IoBits::default(),
+                io: IoValues::default(),
             }
         })
         .collect()

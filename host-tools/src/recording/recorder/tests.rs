@@ -4,8 +4,8 @@ use super::*;
 use crate::random::Lcg;
 use crate::recording::signals::columns;
 use crate::report::{rows, write_telemetry};
-use etherpen::config::IoPoint;
-use etherpen::messages::IoBits;
+use etherpen::config::{IoPoint, IoType};
+use etherpen::messages::IoValues;
 use etherpen::robots::AXES;
 use std::sync::{Arc, Mutex};
 
@@ -24,9 +24,10 @@ fn sample(t_ms: u32) -> Sample {
         measured_rad: std::array::from_fn(|k| 0.3 + 0.1 * (t - 0.001 + k as f32).sin() + 1e-5),
         setpoint_rad_s: [0.1 * t.cos(); AXES],
         measured_rad_s: [0.1 * t.cos() + 1e-4; AXES],
-        io: IoBits {
+        io: IoValues {
             set: (t_ms / 3) as u16,
             missing: (t_ms / 1_000) as u16,
+            words: [t_ms.wrapping_mul(37) & 0xFFFF, t_ms & 0xFF].into_iter().collect(),
         },
     }
 }
@@ -93,16 +94,28 @@ impl Storage for Disk {
 
 #[test]
 fn a_recording_as_csv_is_the_telemetry_table_byte_by_byte() {
+    use IoType::{Bool, I16, U8, U32};
     let mut config = Config::default();
-    for (name, bit) in [("door", 0), ("pen", 1), ("valve", 2)] {
+    // The last one is beyond the room of a sample.
+    let points = [
+        ("door", Bool),
+        ("level", I16),
+        ("valve", Bool),
+        ("byte", U8),
+        ("long", U32),
+        ("far", U32),
+    ];
+    for (bit, (name, kind)) in (0..).step_by(32).zip(points) {
         let point = IoPoint {
             name: name.try_into().unwrap(),
             slave: 5,
             bit: Some(bit),
+            kind,
             ..IoPoint::default()
         };
         config.io.push(point).unwrap();
     }
+    assert_eq!(config.sampled_words(), [1, 3, 4]);
     let samples: Vec<Sample> = (5..9_000).map(sample).collect();
     let mut recorder = Recorder::new(Vec::new(), &about(&config)).unwrap();
     samples.chunks(4).for_each(|four| recorder.samples(0, four).unwrap());
@@ -121,14 +134,27 @@ fn a_recording_as_csv_is_the_telemetry_table_byte_by_byte() {
     assert!(csv == expected, "the tables differ");
     let text = String::from_utf8(csv).unwrap();
     let (heading, rows) = text.split_once('\n').unwrap();
-    assert!(heading.ends_with(",v4_rad_s,io_door,io_pen,io_valve"), "{heading}");
+    let names = "io_door,io_level,io_valve,io_byte,io_long,io_far";
+    assert!(heading.ends_with(&format!(",v4_rad_s,{names}")), "{heading}");
     for row in rows.lines() {
         let t_ms: u32 = row.split(',').next().unwrap().parse().unwrap();
-        let of = |bit: u32| match ((t_ms / 1_000) >> bit) & 1 {
-            0 => (((t_ms / 3) >> bit) & 1).to_string(),
-            _ => String::new(),
+        // What stands in the place of a point that is not 0; the samples here have no third word.
+        let of = |place: u32, value: Option<i64>| {
+            let (missing, set) = ((t_ms / 1_000) >> place & 1, (t_ms / 3) >> place & 1);
+            match (missing, set, value) {
+                (1, ..) | (0, 1, None) => String::new(),
+                (_, 0, _) => "0".to_owned(),
+                (.., Some(value)) => value.to_string(),
+                _ => unreachable!(),
+            }
         };
-        assert!(row.ends_with(&format!(",{},{},{}", of(0), of(1), of(2))), "{row}");
+        let level = i64::from((t_ms * 37) as u16 as i16);
+        let values = [Some(1), Some(level), Some(1), Some(i64::from(t_ms & 0xFF)), None, None];
+        let expected: Vec<String> = (0..).zip(values).map(|(place, value)| of(place, value)).collect();
+        assert!(
+            row.ends_with(&format!(",{}", expected.join(","))),
+            "{row}: {expected:?}"
+        );
     }
 }
 

@@ -138,6 +138,37 @@ fn a_pen_without_its_output_is_named() {
 }
 
 #[test]
+fn words_without_room_in_the_samples_are_named() {
+    let point = |number: usize, kind: &str| {
+        format!(
+            "\n[[io]]\nname = \"w{number}\"\nslave = 9\nbit = {}\ntype = \"{kind}\"\n",
+            32 * number
+        )
+    };
+    let with = |kinds: &[&str]| {
+        let points: String = kinds
+            .iter()
+            .enumerate()
+            .map(|(number, kind)| point(number, kind))
+            .collect();
+        check(&format!("{COREXY}{points}"))
+    };
+    assert_eq!(with(&["u16", "i16", "bool", "u16", "u16"]), vec![]);
+    let found = with(&["u32", "u16", "u32", "bool", "u8"]);
+    assert_eq!(found.len(), 2, "{found:#?}");
+    for (finding, name) in found.iter().zip(["w2", "w4"]) {
+        assert!(
+            finding.gravity == Gravity::Warning && finding.text.contains(name),
+            "{finding}"
+        );
+        assert!(
+            finding.line.is_some() && finding.text.contains("first 4 words"),
+            "{finding}"
+        );
+    }
+}
+
+#[test]
 fn unlikely_values_are_warnings() {
     let found = check(&COREXY.replacen("quick_stop_mm_s2 = 12000.0", "quick_stop_mm_s2 = 2500.0", 1));
     assert_eq!(found.len(), 2, "one for each belt: {found:#?}");
