@@ -4,7 +4,7 @@
 
 use core::future::Future;
 use core::task::{Context, Waker};
-use etherpen::config::Config;
+use etherpen::config::{Bus, Config};
 use etherpen::ethercat::clock::steering::{ClockReading, ClockSteering};
 use etherpen::ethercat::supervisor::{BusCommand, BusEvent};
 use etherpen::ethercat::wire::{Address, Command, FRAME_LEN_MAX, FrameBuilder, FrameView, register};
@@ -46,10 +46,11 @@ struct Run {
 }
 
 impl Run {
-    /// Brings the bus up and runs it for `longest_ms`, or until a second after it is in OP.
-    fn new(options: CellOptions, longest_ms: u32) -> Self {
+    /// Brings the bus up and runs it for `longest_ms`, or until a second after it is in OP. The clocks may take `settle_ms`
+    /// to agree.
+    fn new(options: CellOptions, settle_ms: u16, longest_ms: u32) -> Self {
         let mut config = Config::default();
-        config.bus.clocks = true;
+        (config.bus.clocks, config.bus.settle_max_ms) = (true, settle_ms);
         let seed = options.seed;
         let mut queues = Box::new(RobotBusQueues::new());
         let (exchange_end, supervisor_end, mut application) = queues.split();
@@ -132,7 +133,7 @@ fn drifting(seed: u64) -> CellOptions {
 #[test]
 fn clocks_that_drift_by_50_ppm_agree_before_op_and_the_sample_keeps_its_phase() {
     for seed in 1..=4 {
-        let mut run = Run::new(drifting(seed), 6_000);
+        let mut run = Run::new(drifting(seed), Bus::default().settle_max_ms, 6_000);
         let differences = run.differences_ns();
         for slave in 0..SLAVES {
             let (time_ns, station) = (run.release_ns + 450_000, STATION_BASE + slave);
@@ -157,7 +158,8 @@ fn clocks_that_drift_by_50_ppm_agree_before_op_and_the_sample_keeps_its_phase() 
 
 #[test]
 fn clocks_that_lock_slowly_are_waited_for_until_they_agree() {
-    for lock_ms in [30, 100, 300] {
+    // Loops that need longer than the default get it by the configuration.
+    for (lock_ms, settle_ms) in [(30, 5_000), (100, 5_000), (300, 20_000)] {
         let place = PlaceOptions {
             lock_ms: Some(lock_ms),
             ..PlaceOptions::default()
@@ -166,7 +168,7 @@ fn clocks_that_lock_slowly_are_waited_for_until_they_agree() {
             places: vec![place; SLAVES.into()],
             ..drifting(5)
         };
-        let mut run = Run::new(options, 30_000);
+        let mut run = Run::new(options, settle_ms, 60_000);
         let differences = run.differences_ns();
         println!(
             "loop of {lock_ms} ms: OP after {:?} ms, differences a second later {differences:?} ns",
