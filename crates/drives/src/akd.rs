@@ -13,8 +13,9 @@
 //! scale stays in the drive until it is switched off: switch it off when the mode is changed.
 
 use super::{
-    AxisMode, CONTROL_WORD, Clocks, Digits, DriveDescription, DriveSettings, ModeDescription, OPERATION_MODE_DISPLAY,
-    POSITION, POSITION_INTERNAL, Recognition, STATUS_WORD, SettingList, TARGET_POSITION, VELOCITY_OFFSET, generic,
+    AxisMode, CONTROL_WORD, Clocks, Digits, DriveDescription, DriveSettings, INTERPOLATION_PERIOD, ModeDescription,
+    OPERATION_MODE_DISPLAY, POSITION, POSITION_INTERNAL, Recognition, STATUS_WORD, SettingList, TARGET_POSITION,
+    VELOCITY_OFFSET, generic,
 };
 use etherpen_ethercat::driver::{Entry, PdoChoice, Setting, Windows};
 use etherpen_ethercat::wire::coe::Object;
@@ -75,7 +76,7 @@ fn settings(axis: &DriveSettings, cycle_ns: u32) -> Option<SettingList> {
     }
     for setting in &generic::settings(axis, cycle_ns)? {
         // Between two targets the drive interpolates for this time: with another period it would not move as it is told.
-        let is_read_back = axis.mode == AxisMode::Position && setting.object.index == generic::INTERPOLATION_PERIOD;
+        let is_read_back = axis.mode == AxisMode::Position && setting.object.index == INTERPOLATION_PERIOD;
         let setting = if is_read_back { setting.verified() } else { *setting };
         settings.push(setting).ok()?;
     }

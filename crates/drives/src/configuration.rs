@@ -5,12 +5,11 @@
 //!
 //! Invariant: the layout follows the actual lists of the drive; a missing value and a wrong mode are always detected.
 
-use crate::generic;
 use crate::layout::LayoutBuilder;
 use crate::layout::ProcessLayout;
 use crate::{
-    AxisMode, DriveKind, DriveSettings, ModeDescription, OPERATION_MODE, OPERATION_MODE_DISPLAY, POSITION_FIRST,
-    POSITION_LAST, PositionRange, QUICK_STOP_DECELERATION,
+    AxisMode, DriveKind, DriveSettings, INTERPOLATION_PERIOD, ModeDescription, OPERATION_MODE, OPERATION_MODE_DISPLAY,
+    POSITION_FIRST, POSITION_LAST, PositionRange, QUICK_STOP_DECELERATION, interpolation_period,
 };
 use etherpen_ethercat::configure::PreOperational;
 use etherpen_ethercat::driver::{Direction, ProcessData, Setting, SlaveFactory};
@@ -36,9 +35,9 @@ pub(crate) async fn used<F: SlaveFactory<Layout = ProcessLayout>, const MESSAGE:
 ) -> Result<ProcessData<F>, BusError> {
     let object = OPERATION_MODE;
     let mode = kind.mode(drive.mode).ok_or(BusError::Range { object })?;
-    let object = match generic::interpolation_period(slave.cycle_ns()) {
+    let object = match interpolation_period(slave.cycle_ns()) {
         Some(_) => QUICK_STOP_DECELERATION,
-        None => Object::new(generic::INTERPOLATION_PERIOD, 1),
+        None => Object::new(INTERPOLATION_PERIOD, 1),
     };
     let settings = (kind.settings)(drive, slave.cycle_ns()).ok_or(BusError::Range { object })?;
 

@@ -295,6 +295,24 @@ pub fn quick_stop_increments_s2(axis: &DriveSettings) -> Option<u32> {
 /// is to stop before it moves.
 const FOLLOWING_TIME_OUT_MS: u32 = 0;
 
+/// Index of the interpolation period: its number in sub-index 1, and the power of ten in sub-index 2, s.
+pub const INTERPOLATION_PERIOD: u16 = 0x60C2;
+
+/// The interpolation period as the drive takes it: a number of at most 255 and the power of ten; `None` for a cycle that
+/// has no such number.
+pub(crate) fn interpolation_period(cycle_ns: u32) -> Option<[Setting; 2]> {
+    let (mut number, mut exponent) = (cycle_ns, -9_i32);
+    // At most 10 ms: milliseconds stay milliseconds.
+    while exponent < -3 && number > 0 && number.is_multiple_of(10) {
+        (number, exponent) = (number / 10, exponent + 1);
+    }
+    let is_told = (1..=u32::from(u8::MAX)).contains(&number);
+    is_told.then_some([
+        Setting::new(INTERPOLATION_PERIOD, 1, number, 1),
+        Setting::new(INTERPOLATION_PERIOD, 2, exponent.cast_unsigned(), 1),
+    ])
+}
+
 /// Settings of a drive in position mode: the window of its own following-error supervision and its time-out. A drive
 /// may lack them. `None` when the window does not fit 32 bits or is below 1 increment.
 fn position_settings(axis: &DriveSettings) -> Option<[Setting; 2]> {
@@ -313,6 +331,27 @@ fn position_settings(axis: &DriveSettings) -> Option<[Setting; 2]> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_cycle_is_a_number_and_a_power_of_ten_or_refused() {
+        for (cycle_ns, number, exponent) in [
+            (1_000_000, 1, -3),
+            (250_000, 25, -5),
+            (62_500, 0, 0),
+            (500_000, 5, -4),
+            (10_000_000, 10, -3),
+            (1, 1, -9),
+            (0, 0, 0),
+            (1_000_001, 0, 0),
+        ] {
+            let told = interpolation_period(cycle_ns).map(|settings| settings.map(|setting| setting.value));
+            let expected = (number > 0).then_some([number, i32::cast_unsigned(exponent)]);
+            assert_eq!(told, expected, "{cycle_ns} ns");
+            let Some([number, exponent]) = told else { continue };
+            let period_s = f64::from(number) * 10_f64.powi(exponent.cast_signed());
+            assert!((period_s * 1.0e9 - f64::from(cycle_ns)).abs() < 1.0e-3, "{period_s} s");
+        }
+    }
 
     #[test]
     fn the_following_window_is_written_in_increments_and_bounded() {
