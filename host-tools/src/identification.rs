@@ -23,7 +23,7 @@ mod by_position;
 pub use by_position::weak_config;
 
 use etherpen::application::Mode;
-use etherpen::config::{Axis, AxisMode, Config, Orientation};
+use etherpen::config::{Axis, AxisMode, Config, Orientation, command_delay_ms};
 use etherpen::control::position::{PositionController, SETPOINTS_AHEAD};
 use etherpen::messages::{PathVertex, Sample};
 use etherpen::motion::Pen;
@@ -191,35 +191,27 @@ pub fn test_path(config: &Config) -> Vec<PathVertex> {
 
 /// Estimates every axis from the telemetry of a motion run with `config`.
 pub fn identify(config: &Config, samples: &[Sample]) -> [Result<Answer, NoAnswer>; AXES] {
-    let axes = config.controlled_axes();
-    std::array::from_fn(|number| configured(config, identify_axis(&axes[number], number, samples)))
+    std::array::from_fn(|number| identify_by_velocity(config, number, samples))
 }
 
 /// Estimates every axis from the telemetry of two motions, one run with `config`, the other with its [`weak_config`]. The
 /// second one is needed for axes in position mode.
 pub fn identify_with_weak(config: &Config, samples: &[Sample], weak: &[Sample]) -> [Result<Answer, NoAnswer>; AXES] {
-    let axes = config.controlled_axes();
-    std::array::from_fn(|number| {
-        let axis = &axes[number];
-        let answer = match axis.mode {
-            AxisMode::Velocity | AxisMode::Torque => identify_axis(axis, number, samples),
-            AxisMode::Position => by_position::identify_axis(axis, number, samples, weak),
-        };
-        configured(config, answer)
+    std::array::from_fn(|number| match config.axes[number].mode {
+        AxisMode::Velocity | AxisMode::Torque => identify_by_velocity(config, number, samples),
+        // It finds how far the leads are off, whatever the exchange adds to them.
+        AxisMode::Position => by_position::identify_axis(&config.axes[number], number, samples, weak),
     })
 }
 
-/// An answer with the leads that the configuration holds: the controller adds what the exchange costs.
-fn configured(config: &Config, answer: Result<Answer, NoAnswer>) -> Result<Answer, NoAnswer> {
-    let mut answer = answer?;
-    let leads_ms = [Some(&mut answer.lead_ms), answer.position_lead_ms.as_mut()];
-    for lead_ms in leads_ms.into_iter().flatten() {
-        lead_ms.value -= config.command_delay_ms();
-        if lead_ms.value < 0.0 {
-            return Err(NoAnswer::Model);
-        }
+/// An estimate from the commands of the controller, whose lead is the configuration's and what the exchange costs.
+fn identify_by_velocity(config: &Config, number: usize, samples: &[Sample]) -> Result<Answer, NoAnswer> {
+    let mut answer = identify_axis(&config.controlled_axes()[number], number, samples)?;
+    answer.lead_ms.value -= command_delay_ms(config.bus.exchange);
+    match answer.lead_ms.value < 0.0 {
+        true => Err(NoAnswer::Model),
+        false => Ok(answer),
     }
-    Ok(answer)
 }
 
 /// Puts estimates into a configuration. `only` limits the change to one axis. Lead and feedback gain of the main axes

@@ -19,7 +19,7 @@ pub const IO_MAX: usize = VALUES_MAX;
 pub const IO_NAME_MAX: usize = 16;
 /// Most named words whose values are in each sample.
 pub const SAMPLE_WORDS_MAX: usize = 4;
-/// Most bytes of these words together: they fit the serial line beside a drawing.
+/// Most bytes of the named words in a sample together: they fit the serial line beside a drawing.
 pub const SAMPLE_WORD_BYTES_MAX: usize = 8;
 /// Name of a point: letters, digits, `_` and `-`.
 pub type IoName = String<IO_NAME_MAX>;

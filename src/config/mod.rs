@@ -58,6 +58,15 @@ pub struct Config {
     pub terminals: Terminals,
 }
 
+/// How much later than in the millisecond of its setpoint a command leaves, ms: 1 with one telegram for both directions.
+#[must_use]
+pub const fn command_delay_ms(exchange: ExchangeKind) -> f64 {
+    match exchange {
+        ExchangeKind::Split => 0.0,
+        ExchangeKind::Combined => 1.0,
+    }
+}
+
 /// Joint angle at the synchronisation marks of the default configuration, radians: there the platform is in the
 /// upper part of the work area. The mark in public descriptions, -0.78191 rad, lies outside the joint range that they
 /// give.
@@ -109,16 +118,8 @@ impl Config {
     /// every lead allows for.
     #[must_use]
     pub fn controlled_axes(&self) -> [Axis; AXES] {
-        self.axes.map(|axis| axis.with_later_commands(self.command_delay_ms()))
-    }
-
-    /// How much later than in the millisecond of its setpoint a command leaves, ms: 1 with one telegram for both directions.
-    #[must_use]
-    pub fn command_delay_ms(&self) -> f64 {
-        match self.bus.exchange {
-            ExchangeKind::Split => 0.0,
-            ExchangeKind::Combined => 1.0,
-        }
+        self.axes
+            .map(|axis| axis.with_later_commands(command_delay_ms(self.bus.exchange)))
     }
 
     /// Setup for the bring-up of the bus.

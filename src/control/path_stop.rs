@@ -272,7 +272,8 @@ struct Envelope {
     first_rad_s: [f64; AXES],
     /// What a delay and the encoders' steps add, rad/s.
     added_rad_s: [f64; AXES],
-    /// Speeds up to which the joints count as standing when the time is over, rad/s.
+    /// Speeds up to which the joints count as standing when the time is over, rad/s; [`SPEED_SHARE`] of their first speeds
+    /// comes on top.
     settling_rad_s: [f64; AXES],
     off_ramp_ms: u8,
 }
@@ -327,8 +328,10 @@ impl Envelope {
         if self.passed_ms <= self.longest_ms {
             return Ok(false);
         }
-        let mut joints = measured_rad_s.iter().zip(&self.settling_rad_s);
-        match joints.all(|(measured, settling)| measured.abs() <= *settling) {
+        let mut joints = measured_rad_s
+            .iter()
+            .zip(self.settling_rad_s.iter().zip(&self.first_rad_s));
+        match joints.all(|(measured, (settling, first))| measured.abs() <= settling + SPEED_SHARE * first) {
             true => Ok(true),
             false => Err(self.too_long(measured_rad_s)),
         }

@@ -14,7 +14,7 @@ use crate::config::Axis;
 /// Greatest age of a measurement, ms; the bound of `axes.measurement_age_ms`.
 pub const AGE_MAX_MS: usize = 10;
 /// Greatest lead of the feed-forward, ms; the bound of `axes.feed_forward_lead_ms`.
-pub const LEAD_MAX_MS: usize = 10;
+pub const LEAD_MAX_MS: usize = 11;
 /// Time from the centre of a velocity setpoint to its time stamp, ms: it is the difference over the millisecond that
 /// ends there.
 const DIFFERENCE_CENTRE_MS: f64 = 0.5;

@@ -303,12 +303,17 @@ impl AxisState {
             torque_nm: self.config.torque_max_nm,
         };
         if self.drive.adopt(drive, &self.config.drive(), &limits) {
-            self.end_comparison();
-            if let Some((mode, digits_per_unit)) = self.drive.demand_scale() {
-                self.feedback = FeedbackMonitor::new(&self.config, mode, digits_per_unit);
-                let ramp_rad_s2 = self.config.quick_stop_rad_s2.abs();
-                self.ramp_digits = (ramp_rad_s2 * digits_per_unit.abs() / 1_000.0) as i32;
-            }
+            self.renew_feedback();
+        }
+    }
+
+    /// Begins to compare anew, by the drive's scale.
+    fn renew_feedback(&mut self) {
+        self.end_comparison();
+        if let Some((mode, digits_per_unit)) = self.drive.demand_scale() {
+            self.feedback = FeedbackMonitor::new(&self.config, mode, digits_per_unit);
+            let ramp_rad_s2 = self.config.quick_stop_rad_s2.abs();
+            self.ramp_digits = (ramp_rad_s2 * digits_per_unit.abs() / 1_000.0) as i32;
         }
     }
 
@@ -434,6 +439,15 @@ impl RobotAxes {
             homed: axis.zero.is_some(),
             status: axis.status,
         })
+    }
+
+    /// Takes the leads of these axes over, at rest; all else stays as it was configured.
+    #[cold]
+    pub fn take_leads(&mut self, axes: &[Axis; AXES]) {
+        for (state, axis) in self.axes.iter_mut().zip(axes) {
+            state.config = *axis;
+            state.renew_feedback();
+        }
     }
 
     /// What the axes reported in this cycle.

@@ -19,7 +19,7 @@ mod stopping;
 
 use crate::application::{Fault, Power};
 use crate::board::Interlock;
-use crate::config::{Axis, AxisMode, Bus, Transport};
+use crate::config::{Axis, AxisMode, Bus, Transport, command_delay_ms};
 pub use crate::control::cycle::{CycleReport, Queued, SamplerCommand, SamplerCounters};
 use crate::control::feedback::COMPARISONS;
 use crate::control::io::Io;
@@ -364,6 +364,32 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         }
     }
 
+    /// Makes the controllers of all axes anew.
+    #[cold]
+    fn renew_controllers(&mut self) {
+        // One at a time: every move of an array would need its size on the stack again.
+        for (index, axis) in self.axes.iter().enumerate() {
+            self.controllers[index] = PositionController::new(axis);
+            self.velocity_controllers[index] = VelocityController::new(axis);
+        }
+    }
+
+    /// Gives the axes the leads of the exchange that runs: a slave that does not support the configured one makes it another.
+    #[cold]
+    fn match_leads(&mut self) {
+        let (configured, actual) = (self.bus.exchange, self.group.exchange_kind());
+        if configured == actual {
+            return;
+        }
+        let later_ms = command_delay_ms(actual) - command_delay_ms(configured);
+        self.bus.exchange = actual;
+        for axis in &mut self.axes {
+            *axis = axis.with_later_commands(later_ms);
+        }
+        self.robot.take_leads(&self.axes);
+        self.renew_controllers();
+    }
+
     #[cold]
     fn take_commands(&mut self) {
         while let Some(command) = queue::take(&mut self.commands) {
@@ -372,17 +398,16 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
                     self.used = usize::from(bus.drives).clamp(1, AXES);
                     self.robot.configure(&axes, self.used);
                     self.leave_out_absent();
-                    // One at a time: every move of an array would need its size on the stack again.
-                    for (index, axis) in axes.iter().enumerate() {
-                        self.controllers[index] = PositionController::new(axis);
-                        self.velocity_controllers[index] = VelocityController::new(axis);
-                    }
                     self.has_torque_axis = axes.iter().take(self.used).any(|axis| axis.mode == AxisMode::Torque);
                     (self.axes, self.bus) = (axes, bus);
+                    self.renew_controllers();
                     self.same_zero = [false; AXES];
                 }
                 SamplerCommand::Power(Power::PathStop) => self.stop_on_path(),
                 SamplerCommand::Power(power) => {
+                    if power == Power::On {
+                        self.match_leads();
+                    }
                     self.power = power;
                     self.path_stop.end();
                     if power != Power::On {

@@ -141,6 +141,7 @@ fn a_sample_every_millisecond_fits_the_line_beside_acknowledgements_answers_and_
     assert_eq!(endpoint.counts().samples_dropped, 0);
     assert!(duration_ms - received < 16, "{received} of {duration_ms}");
     let share = bytes as f64 / (duration_ms as usize * LINE_BYTES_PER_MS) as f64;
+    // Every named word and bit changes in every millisecond.
     std::println!("{share} of the line is used");
     assert!(share < 0.97, "{share} of the line is used");
 }

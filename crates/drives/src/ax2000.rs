@@ -10,7 +10,7 @@
 
 use super::{
     CONTROL_WORD, Clocks, Digits, DriveDescription, DriveSettings, ModeDescription, POSITION, QUICK_STOP_DECELERATION,
-    Recognition, STATUS_WORD, SettingList, TORQUE, interpolation_period, quick_stop_increments_s2,
+    Recognition, STATUS_WORD, SettingList, TORQUE, interpolation_settings, quick_stop_increments_s2,
 };
 use etherpen_ethercat::driver::{Entry, PdoChoice, Setting, Windows};
 use etherpen_ethercat::wire::coe::Object;
@@ -60,13 +60,10 @@ pub static AX2000: DriveDescription = DriveDescription {
 
 fn settings(axis: &DriveSettings, cycle_ns: u32) -> Option<SettingList> {
     let quick_stop = quick_stop_increments_s2(axis)?;
-    let [number, exponent] = interpolation_period(cycle_ns)?;
-    let list = [
-        number,
-        exponent,
-        Setting::of(QUICK_STOP_DECELERATION, quick_stop, 4).rounded(),
-    ];
-    SettingList::from_slice(&list).ok()
+    let mut settings = interpolation_settings(axis, cycle_ns)?;
+    let ramp = Setting::of(QUICK_STOP_DECELERATION, quick_stop, 4).rounded();
+    settings.push(ramp).ok()?;
+    Some(settings)
 }
 
 #[cfg(test)]

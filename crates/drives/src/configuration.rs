@@ -36,8 +36,8 @@ pub(crate) async fn used<F: SlaveFactory<Layout = ProcessLayout>, const MESSAGE:
     let object = OPERATION_MODE;
     let mode = kind.mode(drive.mode).ok_or(BusError::Range { object })?;
     let object = match interpolation_period(slave.cycle_ns()) {
-        Some(_) => QUICK_STOP_DECELERATION,
-        None => Object::new(INTERPOLATION_PERIOD, 1),
+        None if drive.mode == AxisMode::Position => Object::new(INTERPOLATION_PERIOD, 1),
+        _ => QUICK_STOP_DECELERATION,
     };
     let settings = (kind.settings)(drive, slave.cycle_ns()).ok_or(BusError::Range { object })?;
 

@@ -8,7 +8,7 @@
 use super::{
     AxisMode, CONTROL_WORD, Clocks, Digits, DriveDescription, DriveSettings, ModeDescription, OPERATION_MODE_DISPLAY,
     POSITION, QUICK_STOP_DECELERATION, Recognition, STATUS_WORD, SettingList, TARGET_POSITION, TORQUE, VELOCITY_OFFSET,
-    interpolation_period, position_settings, quick_stop_increments_s2,
+    interpolation_settings, position_settings, quick_stop_increments_s2,
 };
 use etherpen_ethercat::driver::{Entry, PdoChoice, Setting, Windows};
 use etherpen_ethercat::wire::coe::Object;
@@ -97,14 +97,13 @@ pub static GENERIC: DriveDescription = DriveDescription {
 /// the ramp are optional.
 pub(super) fn settings(axis: &DriveSettings, cycle_ns: u32) -> Option<SettingList> {
     let quick_stop = quick_stop_increments_s2(axis)?;
-    let [number, exponent] = interpolation_period(cycle_ns)?;
+    let mut settings = interpolation_settings(axis, cycle_ns)?;
+    settings.iter_mut().for_each(|setting| *setting = setting.optional());
     let list = [
-        number.optional(),
-        exponent.optional(),
         Setting::new(0x605A, 0, QUICK_STOP_RAMP_THEN_OFF, 2).optional(),
         Setting::of(QUICK_STOP_DECELERATION, quick_stop, 4).rounded(),
     ];
-    let mut settings = SettingList::from_slice(&list).ok()?;
+    settings.extend_from_slice(&list).ok()?;
     if axis.mode == AxisMode::Position {
         settings.extend_from_slice(&position_settings(axis)?).ok()?;
     }

@@ -302,7 +302,7 @@ pub const INTERPOLATION_PERIOD: u16 = 0x60C2;
 /// has no such number.
 pub(crate) fn interpolation_period(cycle_ns: u32) -> Option<[Setting; 2]> {
     let (mut number, mut exponent) = (cycle_ns, -9_i32);
-    // At most 10 ms: milliseconds stay milliseconds.
+    // 10 ms are ten milliseconds, not one hundredth of a second.
     while exponent < -3 && number > 0 && number.is_multiple_of(10) {
         (number, exponent) = (number / 10, exponent + 1);
     }
@@ -311,6 +311,16 @@ pub(crate) fn interpolation_period(cycle_ns: u32) -> Option<[Setting; 2]> {
         Setting::new(INTERPOLATION_PERIOD, 1, number, 1),
         Setting::new(INTERPOLATION_PERIOD, 2, exponent.cast_unsigned(), 1),
     ])
+}
+
+/// Settings that tell a drive the cycle as its interpolation period; none for a cycle that has no such number. `None` if
+/// the drive needs it, in position mode.
+pub(crate) fn interpolation_settings(axis: &DriveSettings, cycle_ns: u32) -> Option<SettingList> {
+    match interpolation_period(cycle_ns) {
+        Some(settings) => SettingList::from_slice(&settings).ok(),
+        None if axis.mode == AxisMode::Position => None,
+        None => Some(SettingList::new()),
+    }
 }
 
 /// Settings of a drive in position mode: the window of its own following-error supervision and its time-out. A drive

@@ -1,8 +1,8 @@
 //! The messages of a recording: their ROS 2 definitions and their bytes (CDR, little-endian).
 //!
 //! Foxglove and PlotJuggler decode the messages with the definitions in the file. A sample takes 116 bytes and 4 for
-//! each named word in it, a quarter of its size as JSON, and its numbers are bit-identical to the firmware's. Fields are named like the columns of
-//! `telemetry.csv`, units last. Every message is one struct; only the primitive types of CDR are used.
+//! each named word in it, a quarter of its size as JSON, and its numbers are bit-identical to the firmware's. Fields are
+//! named like the columns of `telemetry.csv`, units last. Every message is one struct; only the primitive types of CDR are used.
 //!
 //! Invariant: bytes that are not a valid message give `None`.
 
@@ -142,7 +142,7 @@ const SAMPLE_SCHEMA: &str = concat!(
      float32 q4_ref_rad\nfloat32 q4_rad\nfloat32 v4_ref_rad_s\nfloat32 v4_rad_s\n\
      # The named inputs and outputs, from the lowest bit in the order of the configuration: not 0; not exchanged.\n\
      uint16 io_set\nuint16 io_missing\n\
-     # The bits of the first named words, in the order of the configuration; absent before it had any:\n\
+     # The bits of the first named words, in the order of the configuration; recordings from before protocol 16 have none:\n\
      uint32[] io_words\n"
 );
 
@@ -155,7 +155,7 @@ const STATUS_SCHEMA: &str = concat!(
      uint32 link_errors\nuint32 ethernet_errors\n\
      # Of each slave on the bus:\nuint16[] al_state\nuint16[] al_code\nuint16[] status_word\n\
      string fault\n\
-     # Of each named input and output, in the order of the configuration; absent before it had any:\n\
+     # Of each named input and output, in the order of the configuration; old recordings have none:\n\
      uint32[] io_raw\nuint16[] io_valid\n"
 );
 

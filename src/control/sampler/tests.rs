@@ -1,9 +1,11 @@
 //! The sampler over drives in memory: no bus, no robot, four motors that follow their digits.
 
 use super::*;
+use crate::config::Config;
 use crate::drives::cia402::ControlWord;
 use crate::drives::io::GroupDrive;
 use crate::drives::{DriveInput, MemoryGroup, PositionRange, ax2000};
+use crate::ethercat::cyclic::ExchangeKind;
 use crate::motion::Setpoint;
 use crate::network::NetworkQueues;
 use core::task::Context;
@@ -137,10 +139,18 @@ impl Rig {
     }
 
     /// Configured, homed and in operation.
-    fn ready(mut self) -> Self {
+    fn ready(self) -> Self {
+        self.ready_with(&Config::default())
+    }
+
+    /// Configured like this, homed and in operation.
+    fn ready_with(mut self, config: &Config) -> Self {
         self.command(SamplerCommand::Configure {
-            axes: [Axis::default(); AXES],
-            bus: Bus::default(),
+            axes: config.controlled_axes().map(|axis| Axis {
+                sync_angle_rad: Axis::default().sync_angle_rad,
+                ..axis
+            }),
+            bus: config.bus.clone(),
         });
         (0..30).for_each(|_| _ = self.millisecond(true));
         self.command(SamplerCommand::Home { near: None });
@@ -161,6 +171,36 @@ impl Rig {
             assert!(self.setpoints.enqueue(Queued { epoch: 1, setpoint }).is_ok());
         }
     }
+}
+
+#[test]
+fn the_leads_are_those_of_the_exchange_that_runs() {
+    let demands = |exchange| {
+        let mut config = Config::default();
+        config.bus.exchange = exchange;
+        // The drives in memory answer in two telegrams whatever is configured, as a bus does where a slave needs it.
+        let mut rig = rig().ready_with(&config);
+        rig.command(SamplerCommand::Follow { epoch: 1 });
+        let mut demands = Vec::new();
+        for number in 1..=100_u32 {
+            // The speed rises: each millisecond of lead is another demand.
+            let speed_rad_s = 2.0e-3 * f64::from(number);
+            let setpoint = Setpoint {
+                position_rad: [1.0e-6 * f64::from(number * number); AXES],
+                velocity_rad_s: [speed_rad_s; AXES],
+                ..Setpoint::default()
+            };
+            assert!(rig.setpoints.enqueue(Queued { epoch: 1, setpoint }).is_ok());
+            if number > 20 {
+                assert_eq!(rig.millisecond(true).fault, None);
+                demands.push(rig.sampler.group.outputs.map(|output| output.demand_digits));
+            }
+        }
+        demands
+    };
+    let [split, combined] = [ExchangeKind::Split, ExchangeKind::Combined].map(demands);
+    assert!(split.last() > split.first());
+    assert_eq!(split, combined);
 }
 
 #[test]

@@ -373,7 +373,7 @@ fn open_ports(status: u16) -> u8 {
 
 /// Makes all clocks agree: measures, writes offsets and delays, and distributes the reference's time until the control
 /// loops start to follow. Does nothing on a bus without clocks. `time_number` is that of the time which begins. A clock that
-/// cannot be set counts as none if `is_used` returns false for its slave.
+/// cannot be set counts as none if `is_used` returns false for its slave, unless it is the reference.
 ///
 /// # Errors
 /// As [`AcyclicPort::send_until_counted`].
@@ -597,8 +597,10 @@ pub async fn difference_ns<const MESSAGE: usize>(
 
 /// How often in a row a slave's clock has to be near the reference.
 const AGREED_READINGS: u8 = 3;
-/// Time between these readings, ms.
+/// Time between two readings of a clock that is near the reference, ms.
 const AGREED_APART_MS: u32 = 10;
+/// Part of the largest difference by which the readings may drift apart: a quarter of 1,000 ns in 20 ms is 12.5 ppm.
+const CHANGE_SHARE: u32 = 4;
 
 /// How near to the reference a slave's clock has to come before the slave goes to OP, and how long this may take.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -619,9 +621,8 @@ impl Default for Settling {
     }
 }
 
-/// Waits until a slave's clock has settled; the cyclic frames have to carry the time datagram meanwhile. A clock that only
-/// passes by the reference's time, as one that still learns its own drift does, is not near it [`AGREED_READINGS`] times in a
-/// row.
+/// Waits until a slave's clock has settled: near the reference, and hardly moving against it any more. The cyclic frames have
+/// to carry the time datagram meanwhile. A clock that still learns its own drift passes by the reference's time first.
 ///
 /// # Errors
 /// [`BusError::ClockDifference`] after the longest wait, or as [`AcyclicPort::send_until_counted`].
@@ -630,15 +631,24 @@ pub async fn await_agreement<const MESSAGE: usize>(
     station: u16,
     settling: Settling,
 ) -> Result<i32, BusError> {
-    let (started_ms, mut agreed) = (port.now_ms(), 0);
+    let (started_ms, mut agreed, mut first_ns) = (port.now_ms(), 0, 0);
     loop {
         let actual_ns = difference_ns(port, station).await?;
-        let is_near = actual_ns.unsigned_abs() <= settling.difference_ns;
-        agreed = if is_near { agreed + 1 } else { 0 };
-        if agreed >= AGREED_READINGS {
-            return Ok(actual_ns);
+        if actual_ns.unsigned_abs() <= settling.difference_ns {
+            (agreed, first_ns) = match agreed {
+                0 => (1, actual_ns),
+                agreed => (agreed + 1, first_ns),
+            };
+        } else {
+            agreed = 0;
         }
-        if is_near {
+        if agreed >= AGREED_READINGS {
+            if actual_ns.abs_diff(first_ns) <= settling.difference_ns / CHANGE_SHARE {
+                return Ok(actual_ns);
+            }
+            (agreed, first_ns) = (1, actual_ns);
+        }
+        if agreed > 0 {
             port.wait_ms(AGREED_APART_MS).await;
             continue;
         }

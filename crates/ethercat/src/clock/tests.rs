@@ -63,6 +63,8 @@ impl Model {
 struct Chain {
     slaves: StdVec<Model>,
     true_ns: u64,
+    /// Whether the time of the first slave is distributed in each millisecond.
+    distributes: bool,
     frames: usize,
     log: String,
 }
@@ -94,6 +96,7 @@ impl Chain {
         Self {
             slaves: models,
             true_ns: 7_000_000_123,
+            distributes: false,
             frames: 0,
             log: String::new(),
         }
@@ -110,6 +113,16 @@ impl Chain {
         }
     }
 
+    /// What a frame with the time of the first slave leaves in the others.
+    fn distribute(&mut self) {
+        let reference_ns = self.slaves[0].system_ns(self.true_ns);
+        for model in &mut self.slaves[1..] {
+            let difference_ns = model.system_ns(self.true_ns).wrapping_sub(reference_ns) as i32;
+            let bits = register::time_difference_bits(difference_ns);
+            model.put(register::DC_TIME_DIFFERENCE, &bits.to_le_bytes());
+        }
+    }
+
     fn answer(&mut self, request: &Request) -> Reply {
         self.frames += 1;
         let (at, mut data, mut working_counter) = (request.address.register(), request.data.clone(), 0);
@@ -120,6 +133,9 @@ impl Chain {
         if request.command == Command::Bwr && at == register::DC_RECEIVE_TIME {
             self.latch();
             working_counter = self.slaves.len() as u16;
+        }
+        if self.distributes {
+            self.distribute();
         }
         for (model, station) in self.slaves.iter_mut().zip(STATIONS) {
             let now_ns = self.true_ns + model.delay_ns;
@@ -563,6 +579,23 @@ fn without_a_period_sync_starts_at_the_earliest_time() {
     for now_ns in [0, 1, u64::from(u32::MAX)] {
         assert_eq!(clocks.start_time_ns(now_ns, 250_000), now_ns + START_AHEAD_NS);
     }
+}
+
+#[test]
+fn a_clock_that_only_passes_by_the_reference_is_not_taken_for_one_that_agrees() {
+    // 15 ppm fast and without a control loop: for some fifty milliseconds it is near.
+    let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 15_000), (WIDE, 42, 2_000), (WIDE, 7, 0)]);
+    chain.set_up();
+    chain.distributes = true;
+    let mut settled = |station| {
+        chain.run(async move |mut port: AcyclicPort<'static, 64>| {
+            await_agreement(&mut port, station, Settling::default()).await
+        })
+    };
+    let slow = settled(STATIONS[2]);
+    assert!(slow.is_ok(), "{slow:?}: 2 ppm are agreement");
+    let passing = settled(STATIONS[1]);
+    assert!(matches!(passing, Err(BusError::ClockDifference { .. })), "{passing:?}");
 }
 
 #[test]

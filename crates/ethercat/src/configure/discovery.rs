@@ -17,7 +17,7 @@ use heapless::Vec;
 pub const STATION_BASE: u16 = 0x1001;
 /// Station address of a slave while it is being identified.
 pub const STATION_TEMPORARY: u16 = 0x1000;
-/// Sync managers and FMMUs that are cleared together at the start; few controllers have less.
+/// Sync managers and FMMUs that are cleared together at the start; few controllers have fewer.
 const CLEARED: u8 = 4;
 /// Sync managers and FMMUs of a large controller, in which another master may have left some.
 const UNITS_MAX: u8 = 8;
@@ -201,6 +201,16 @@ pub async fn clear<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, st
         write(register::FMMU, &[0; CLEARED as usize * FMMU_LEN]),
         write(register::SYNC_MANAGER, &[0; CLEARED as usize * SYNC_MANAGER_LEN]),
     ];
+    // What only large controllers have.
+    for request in [
+        write(register::fmmu(CLEARED), &[0; CLEARED as usize * FMMU_LEN]),
+        write(
+            register::sync_manager(CLEARED),
+            &[0; CLEARED as usize * SYNC_MANAGER_LEN],
+        ),
+    ] {
+        port.answered(&request).await?;
+    }
     let mut is_refused = false;
     for request in &all {
         is_refused |= port.answered(request).await?.1 != 1;

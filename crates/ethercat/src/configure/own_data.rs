@@ -1,9 +1,10 @@
 //! A slave's own process data: what it exchanges without a driver, and which sync managers carry it.
 //!
 //! The SII lists the sync managers (ETG.2010, category 41); terminals without a mailbox begin with sync manager 0. Where that
-//! list is missing, a slave with CoE has sync managers 2 and 3, as ETG.1000.6 numbers them. What a sync manager carries is listed by CoE (0x1C10 + its number names the process data objects assigned to it), or by the
-//! SII for slaves without CoE and for lists that are missing there. The data of a direction lie in the order of its
-//! sync managers, those of each from a whole byte on.
+//! list is missing, a slave with CoE has sync managers 2 and 3, as ETG.1000.6 numbers them. What a sync manager carries is
+//! listed by CoE (0x1C10 + its number names the process data objects assigned to it), or by the SII for slaves without CoE
+//! and for lists that are missing there. The data of a direction lie in the order of its sync managers, those of each from a
+//! whole byte on.
 //!
 //! Invariant: only what the application has chosen is written; every list and every wait ends.
 

@@ -53,13 +53,12 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             .map_err(Failure::bus(Step::Reset))?;
         let unread = self.identify_all(found).await?;
         self.ask_device_types().await;
-        let mut chosen = self.choose_members();
-        if chosen.is_err() && self.await_device_types().await {
-            chosen = self.choose_members();
-        }
-        if let Err(error) = chosen {
-            // A member may be missing because it could not be read.
-            return Err(unread.unwrap_or(Failure::bus(Step::Identify)(error)));
+        if self.choose_members().is_err() {
+            let silent = self.await_device_types().await;
+            if let Err(error) = self.choose_members() {
+                // A member may be missing because it could not be read, or does not answer.
+                return Err(unread.or(silent).unwrap_or(Failure::bus(Step::Identify)(error)));
+            }
         }
         self.choose_terminals();
         self.check_members().await?;
@@ -77,8 +76,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let Self { port, slaves, .. } = self;
         for slave in slaves.iter().filter(|slave| slave.is_used()) {
             let flags = match information::general_flags(port, slave.station()).await {
-                // A terminal that cannot be read is refused later, alone.
-                Err(_) if slave.is_terminal => continue,
+                // A terminal that cannot be read yet may not support it.
+                Err(_) if slave.is_terminal => sii::FLAG_NO_LRW,
                 flags => flags.map_err(Failure::of(slave.position, Step::Identify))?,
             };
             if flags & sii::FLAG_NO_LRW != 0 {

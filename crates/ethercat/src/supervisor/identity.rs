@@ -63,17 +63,22 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         }
     }
 
-    /// Asks them again, and waits for processors that still start up. Returns whether a driver was found.
-    pub(super) async fn await_device_types(&mut self) -> bool {
-        let mut is_found = false;
+    /// Asks the slaves that still have no driver again, and waits for processors that start up. Returns the first that has
+    /// not answered.
+    pub(super) async fn await_device_types(&mut self) -> Option<Failure> {
+        let mut silent = None;
         for number in 0..self.slaves.len() {
-            if let Ok(Some(device)) = self.ask_device_type(number, true).await
-                && let Some(slave) = self.slaves.get_mut(number)
-            {
-                (slave.device, is_found) = (Some(device), true);
+            let asked = self.ask_device_type(number, true).await;
+            let Some(slave) = self.slaves.get_mut(number) else {
+                continue;
+            };
+            match asked {
+                Ok(None) => {}
+                Ok(device) => slave.device = device,
+                Err(error) => silent = silent.or(Some(Failure::of(slave.position, Step::Identify)(error))),
             }
         }
-        is_found
+        silent
     }
 
     /// Asks a slave without a driver for its device type, and leaves the slave in INIT; `None` if there is no driver for it.
@@ -103,12 +108,13 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                     .read(DEVICE_TYPE, 4)
                     .await
             }
-            // There is no way back from where it did not go.
-            Err(unread @ BusError::RequestUnread { .. }) => return Err(unread),
             Err(error) => Err(error),
         };
-        // A slave that does not return to INIT is detected when it is used.
-        let _ = state::change(&mut self.port, station, AlState::Init).await;
+        // There is no way back from where it did not go.
+        if !matches!(device_type, Err(BusError::RequestUnread { .. })) {
+            // A slave that does not return to INIT is detected when it is used.
+            let _ = state::change(&mut self.port, station, AlState::Init).await;
+        }
         information::take(&mut self.port, station).await;
         device_type.map(F::by_device_type)
     }
@@ -193,15 +199,19 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         if aliases {
             known.alias = identification::alias(&mut self.port, station).await?;
         }
+        let is_expected = self
+            .slaves
+            .get(number)
+            .is_some_and(|slave| self.expected(slave).switch != 0);
         if switches {
-            known.switch = self.switch(number, station).await?;
+            known.switch = self.switch(number, station, is_expected).await?;
         }
         Ok(known)
     }
 
-    /// Asks for the number of the switches of the slave at a station address, at a slave's place, and waits for a processor
-    /// that still starts up.
-    async fn switch(&mut self, number: usize, station: u16) -> Result<u16, BusError> {
+    /// Asks for the number of the switches of the slave at a station address, at a slave's place. `is_patient` waits for a
+    /// processor that still starts up.
+    async fn switch(&mut self, number: usize, station: u16, is_patient: bool) -> Result<u16, BusError> {
         let (position, started_ms) = (number as u16, self.port.now_ms());
         loop {
             let asked = match state::acknowledge(&mut self.port, station).await {
@@ -209,8 +219,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 Err(error) => Err(error),
             };
             let error = match asked {
-                Ok(switch) => return Ok(switch),
-                Err(error) => error,
+                Err(error) if is_patient => error,
+                asked => return asked,
             };
             let waited = self.wait_on(position, station, Step::Identify, started_ms, error).await;
             waited.map_err(|failure| failure.error)?;

@@ -48,10 +48,11 @@ const LOOK_PERIOD_MS: u32 = 20;
 pub const LINK_TIMEOUT_MS: u32 = 5_000;
 /// How often a repair is restarted after another slave has interrupted it.
 const REPAIR_TRIES_MAX: u8 = 3;
-/// How long a chain that has changed after a failed bring-up has to be stable before the next one, ms.
+/// How long a chain that has changed after a failed bring-up has to be stable before the next one, ms; twice as long before
+/// each further one, so that a loose contact does not restart the drives again and again.
 const CHANGED_MS: u32 = 100;
-/// Bring-ups without a command, after each change of the chain: a loose contact does not restart the drives for ever.
-const RETRIES_MAX: u8 = 10;
+/// How often this time is doubled: half a minute then.
+const DOUBLED_MAX: u8 = 8;
 /// Rescans that may fail one after the other before the chain is taken as it is.
 const RESCANS_FAILED_MAX: u8 = 10;
 
@@ -233,16 +234,16 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         if there != self.slaves_sorted {
             (self.slaves_sorted, self.changed_ms) = (there, Some(now_ms));
         }
+        let stable_ms = CHANGED_MS << self.retries.min(DOUBLED_MAX);
         let is_stable = self
             .changed_ms
-            .is_some_and(|changed_ms| now_ms.wrapping_sub(changed_ms) >= CHANGED_MS);
+            .is_some_and(|changed_ms| now_ms.wrapping_sub(changed_ms) >= stable_ms);
         if is_stable
-            && self.retries < RETRIES_MAX
             && there >= self.bus.fewest_slaves().max(1)
             && !self.inbox.port.is_down()
             && self.bus.transferring().await.is_none()
         {
-            self.retries += 1;
+            self.retries = self.retries.saturating_add(1);
             self.start().await;
         }
     }

@@ -108,6 +108,8 @@ impl<'q> Control<'q> {
         // EtherCAT in UDP would wait for addresses.
         let mut bus = config.bus.clone();
         bus.transport = Transport::Raw;
+        // The drives of a replay answer in two telegrams; the leads are those of the exchange that was configured.
+        bus.exchange = ExchangeKind::Split;
         let axes = config.controlled_axes();
         control.order(SamplerCommand::Configure { axes, bus });
         // What happened at inputs is not recorded; the height of a pen that an output lifts follows from the configuration.
