@@ -249,6 +249,52 @@ fn one_of_two_missing_slaves_is_repaired_and_the_other_one_refused() {
 }
 
 #[test]
+fn a_new_drive_behind_a_missing_one_is_not_taken_for_it() {
+    let (mut since, mut lost, mut harmed) = (None, 0, false);
+    run(
+        numbered(),
+        |_| false,
+        |now_ms, bench, events| {
+            lost += events
+                .iter()
+                .filter(|event| matches!(event, BusEvent::SlaveLost { .. }))
+                .count();
+            let station = |bench: &Bench<'_>, slave: usize| {
+                let memory = &bench.segment.slaves[slave].memory;
+                u16::from_le_bytes([memory[0x10], memory[0x11]])
+            };
+            match since {
+                None if !harmed && events.contains(&BusEvent::Operational) => {
+                    harmed = true;
+                    bench.segment.slaves[2].connected = false;
+                    let mut spare = FakeSlave::drive();
+                    write_bytes(&mut spare.sii, 28, &99_u32.to_le_bytes());
+                    bench.segment.slaves[3] = spare;
+                    Next::On
+                }
+                None if lost == 2 => {
+                    since = Some(now_ms);
+                    Next::Recover
+                }
+                Some(at_ms) if now_ms == at_ms + 3_000 => {
+                    // What it is for is told by its place only once all are there.
+                    assert_eq!(station(bench, 3), 0);
+                    bench.segment.slaves[2].connected = true;
+                    bench.segment.slaves[2].power_up();
+                    Next::On
+                }
+                Some(at_ms) if now_ms == at_ms + 3_100 => Next::Recover,
+                Some(at_ms) if now_ms > at_ms + 3_100 && events.contains(&BusEvent::Operational) => {
+                    assert_eq!((station(bench, 2), station(bench, 3)), (0x1003, 0x1004));
+                    Next::Done
+                }
+                _ => Next::On,
+            }
+        },
+    );
+}
+
+#[test]
 fn a_standing_error_flag_is_cleared_through_init() {
     let log = after_harm(
         &[1],

@@ -145,7 +145,11 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             let is_told = match slave.is_refused_terminal() {
                 // What was read of it may be wrong: only its place tells, unless the one there is a missing neighbour.
                 true => by_order.is_some() && !(is_elsewhere && self.is_another(number, &missing, &fixed.identity)),
-                false => by_order.is_some() || self.is_only_one(&slave, &missing),
+                // At the end of a cut chain, a slave with another serial number may be in the place of any that is missing.
+                false => {
+                    let is_new = is_elsewhere && has_other_serial(&slave, &fixed.identity);
+                    (by_order.is_some() && !is_new) || self.is_only_one(&slave, &missing)
+                }
             };
             let is_known = is_its_place && is_told;
             let mut same = self.is_same(&slave, &fixed.identity).map(|()| slave.known);
@@ -478,6 +482,12 @@ fn other_chain(place: u16, places: &Places, there: &Places) -> BusError {
             actual,
         },
     }
+}
+
+/// Whether an identity has another serial number than a slave.
+fn has_other_serial<F: SlaveFactory>(slave: &Slave<F>, identity: &Identity) -> bool {
+    let known = slave.identity().serial;
+    known != 0 && identity.serial != 0 && identity.serial != known
 }
 
 /// Whether an identity has a slave's own serial number.
