@@ -175,6 +175,14 @@ impl Client {
         }
     }
 
+    /// Takes all messages that have come.
+    pub(crate) fn catch_up(&mut self) {
+        let patience = |client: &Self, time| client.socket.get_ref().set_read_timeout(Some(time)).unwrap();
+        patience(self, Duration::from_millis(1));
+        while self.take().is_some() {}
+        patience(self, PATIENCE);
+    }
+
     /// Takes messages until a section sent from now on fulfils a condition.
     pub(crate) fn until(&mut self, section: &str, is: impl Fn(&Value) -> bool) -> Value {
         let begun = Instant::now();

@@ -95,11 +95,13 @@ fn follow(browser: &mut Browser, path: &[String]) {
 }
 
 /// Everything that opens an overlay, as the presses that lead there; STOP must be uncovered at every step.
-fn ways_to_overlays(browser: &mut Browser, rig: &Rig) -> Vec<Vec<String>> {
+fn ways_to_overlays(browser: &mut Browser, rig: &Rig, helper: &mut Client) -> Vec<Vec<String>> {
     let mut ways: Vec<Vec<String>> = Vec::new();
     let mut tried = BTreeSet::new();
     let mut open: Vec<Vec<String>> = vec![Vec::new()];
     while let Some(before) = open.pop() {
+        // On a busy computer this takes minutes, for which no buffer holds what comes.
+        helper.catch_up();
         load(browser, rig);
         follow(browser, &before);
         let under = strings(&browser.value("search.overlays()"));
@@ -153,7 +155,7 @@ fn stop_and_esc_reach_the_robot_over_everything_that_the_page_can_show() {
         browser.window(width, height);
         for dark in [true, false] {
             browser.dark(dark);
-            let ways = ways_to_overlays(browser, &rig);
+            let ways = ways_to_overlays(browser, &rig, &mut helper);
             println!("{width} x {height}, {}: {ways:?}", if dark { "dark" } else { "light" });
             let shortcuts = ways.iter().any(|way| way == &[LIST_OF_KEYS]);
             let nested = ways.iter().any(|way| way.len() > 1);

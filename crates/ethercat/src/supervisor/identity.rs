@@ -64,7 +64,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     }
 
     /// Asks the slaves that still have no driver again, and waits for processors that start up. Returns the first that has
-    /// not answered.
+    /// not read its request; one that answers something else has no driver.
     pub(super) async fn await_device_types(&mut self) -> Option<Failure> {
         let mut silent = None;
         for number in 0..self.slaves.len() {
@@ -75,7 +75,10 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             match asked {
                 Ok(None) => {}
                 Ok(device) => slave.device = device,
-                Err(error) => silent = silent.or(Some(Failure::of(slave.position, Step::Identify)(error))),
+                Err(error @ BusError::RequestUnread { .. }) => {
+                    silent = silent.or(Some(Failure::of(slave.position, Step::Identify)(error)));
+                }
+                Err(_) => {}
             }
         }
         silent
