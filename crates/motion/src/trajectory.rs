@@ -369,7 +369,7 @@ impl Motion {
         let paper_mm = self.area.paper().z_at_mm(above[0], above[1]);
         let near_paper = above[2] < paper_mm + NEAR_PAPER * self.pen_lift_mm;
         above[2] = paper_mm + self.pen_lift_mm;
-        let is_free = || self.area.check(&above.into()).is_ok();
+        let is_free = || self.area.keeps_within(&self.here.point.into(), &above.into());
         let leads_on = || check_way_in(&self.area, &above.into(), &vertex.position).is_ok();
         if near_paper && is_free() && leads_on() {
             self.queue.push(Node {
@@ -596,7 +596,8 @@ impl Motion {
         let paper_mm = self.area.paper().z_at_mm(above[0], above[1]);
         let near_paper = above[2] < paper_mm + NEAR_PAPER * self.pen_lift_mm;
         above[2] += self.pen_lift_mm;
-        if (near_paper || self.here.label.pen == Pen::Down) && self.area.check(&above.into()).is_ok() {
+        let is_free = || self.area.keeps_within(&self.here.point.into(), &above.into());
+        if (near_paper || self.here.label.pen == Pen::Down) && is_free() {
             let label = Label {
                 pen: Pen::Up,
                 ..self.here.label

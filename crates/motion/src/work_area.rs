@@ -279,12 +279,18 @@ impl WorkArea {
             return Err(outside);
         }
         let (before, after) = (self.beyond(from), self.beyond(to));
-        // A NaN is never inside.
-        let stays = |(before, after): (&f64, &f64)| *after <= before.max(0.0) + CHANGE_NONE;
         let nearer = |(before, after): (&f64, &f64)| *before > 0.0 && *after < *before - CHANGE_NONE;
-        let stays_within = before.iter().zip(&after).all(stays);
         let enters = before.iter().zip(&after).any(nearer);
-        if enters && stays_within { Ok(()) } else { Err(outside) }
+        if enters && no_farther(&before, &after) {
+            Ok(())
+        } else {
+            Err(outside)
+        }
+    }
+
+    /// Whether a step ends inside, or no farther beyond any border than it begins.
+    pub(crate) fn keeps_within(&self, from: &Position, to: &Position) -> bool {
+        self.check(to).is_ok() || no_farther(&self.beyond(from), &self.beyond(to))
     }
 
     /// Checks a position like [`Self::check`], with a margin of `room_mm` to the inner radius and to the limits of the
@@ -371,6 +377,12 @@ impl WorkArea {
         }
         Ok(())
     }
+}
+
+/// Whether no border is farther exceeded after a step than before it. A NaN is never inside.
+fn no_farther(before: &[f64; BORDERS], after: &[f64; BORDERS]) -> bool {
+    let stays = |(before, after): (&f64, &f64)| *after <= before.max(0.0) + CHANGE_NONE;
+    before.iter().zip(after).all(stays)
 }
 
 #[cfg(test)]

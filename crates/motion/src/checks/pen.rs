@@ -175,8 +175,10 @@ fn the_pen_changes_without_a_stop_unless_it_dwells() {
 
 #[test]
 fn a_path_that_begins_on_the_paper_leaves_no_ink_on_the_way_to_its_first_stroke() {
-    let settings = Settings::default();
+    let mut settings = Settings::default();
+    settings.work_area.radius_mm = 120.0;
     let kinematics = Kinematics::new(&settings.geometry).unwrap();
+    let area = crate::WorkArea::new(&settings).unwrap();
     let (down, up) = (
         settings.paper.pen_down_z_mm,
         settings.paper.pen_down_z_mm + settings.paper.pen_lift_mm,
@@ -184,7 +186,16 @@ fn a_path_that_begins_on_the_paper_leaves_no_ink_on_the_way_to_its_first_stroke(
     for seed in 1..=40 {
         let mut random = Random::new(seed);
         let mut spot = |z| [random.between(-60.0, 60.0), random.between(-60.0, 60.0), z];
-        let (rest, above, end) = (spot(down), spot(up), spot(down));
+        let (mut rest, above, end) = (spot(down), spot(up), spot(down));
+        // A machine that was placed wrongly may stand outside when it is placed again.
+        if seed % 2 == 0 {
+            let (radius_mm, angle) = (
+                settings.work_area.radius_mm + random.between(0.1, 20.0),
+                random.between(-PI, PI),
+            );
+            rest = [radius_mm * libm::cos(angle), radius_mm * libm::sin(angle), down];
+            assert!(area.check(&rest.into()).is_err(), "seed {seed}: {rest:?} is inside");
+        }
         let on_paper = [above[0], above[1], down];
         let path = [
             vertex(above, Pen::Up, 1),

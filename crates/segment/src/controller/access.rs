@@ -360,8 +360,19 @@ impl Controller {
             if touches(at, sync_manager::BLOCK)
                 && let Some(&block) = self.memory.get(at..).and_then(|rest| rest.first_chunk())
             {
-                self.with_sync_manager(index, |manager| manager.configure(block));
+                self.configure_sync_manager(index, block);
             }
+        }
+    }
+
+    /// A sync manager takes its registers. Its memory keeps the last mail, which the bus reads like any other memory
+    /// once the sync manager is off.
+    fn configure_sync_manager(&mut self, index: usize, block: [u8; sync_manager::BLOCK]) {
+        let before = self.sync_managers.get(index);
+        let mail = before.and_then(|manager| Some((manager.start(), manager.mail()?.to_vec())));
+        self.with_sync_manager(index, |manager| manager.configure(block));
+        if let Some((start, mail)) = mail {
+            self.store(start, &mail);
         }
     }
 }

@@ -288,6 +288,11 @@ impl SyncManager {
         }
     }
 
+    /// The last message of a mailbox, read or not; zeros before the first.
+    pub(crate) fn mail(&self) -> Option<&[u8]> {
+        (self.is_active() && self.is_mailbox()).then_some(self.complete.as_slice())
+    }
+
     /// The last complete buffer written by the bus; `None` before the first.
     pub(crate) fn outputs(&self) -> Option<&[u8]> {
         (self.is_active() && self.is_bus_written() && self.ever_written).then_some(self.complete.as_slice())

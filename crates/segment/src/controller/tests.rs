@@ -120,3 +120,13 @@ fn a_mailbox_that_is_written_short_stays_empty() {
     assert_eq!(pass(&mut controller, APRD, 0, 0x0805, &[0]).0[0] & 0x08, 0x08);
     assert_eq!(pass(&mut controller, APWR, 0, 0x1800, &[2; 8]).1, 0);
 }
+
+#[test]
+fn the_last_mail_stays_in_the_memory_of_a_sync_manager_that_is_switched_off() {
+    let mut controller = controller();
+    pass(&mut controller, APWR, 0, 0x0800, &[0x00, 0x18, 4, 0, 0x26, 0, 1, 0]);
+    assert_eq!(pass(&mut controller, APWR, 0, 0x1800, &[1, 2, 3, 4]).1, 1);
+    assert_eq!(pass(&mut controller, APRD, 0, 0x1800, &[0; 4]).1, 0);
+    pass(&mut controller, APWR, 0, 0x0800, &[0; 8]);
+    assert_eq!(pass(&mut controller, APRD, 0, 0x1800, &[0; 4]), (vec![1, 2, 3, 4], 1));
+}

@@ -2,7 +2,7 @@
 //!
 //! A command keeps the interface busy for some of the segment's time; the word address counts 16-bit words; a read
 //! returns eight bytes, or four with some controllers. Where the slave's processor emulates the memory, a command waits
-//! for the processor. While the processor owns the memory (register 0x0501), or the memory is offered to it, commands
+//! for the processor. After a write the memory acknowledges nothing until it has stored the word. While the processor owns the memory (register 0x0501), or the memory is offered to it, commands
 //! are refused. Register layout: EEPROM interface of the slave controller's register description.
 
 pub(crate) mod content;
@@ -20,6 +20,9 @@ pub(crate) const BASE: usize = registers::SII_CONFIG;
 pub(crate) const LENGTH: usize = 16;
 /// Default duration of a command, ns: eight bytes at 400 kHz.
 pub(crate) const BUSY_NS: u64 = 300_000;
+/// Time in which a memory stores a word after the command has ended, ns: an EK1100 (capture of ethercrab's alias address)
+/// refused commands up to 2.9 ms after a write and took them from 3.5 ms on.
+const STORE_NS: u64 = 3_200_000;
 
 const CONFIG: usize = 0;
 const PDI_ACCESS: usize = (wire::SII_PDI_ACCESS - wire::SII_CONFIG) as usize;
@@ -66,6 +69,8 @@ pub(crate) struct Eeprom {
     pending: u16,
     due_ns: u64,
     busy_ns: u64,
+    /// Until when the memory stores the last word.
+    stores_until_ns: u64,
     write_enabled: bool,
     fault: SiiFault,
     /// Idle state of the control register.
@@ -84,6 +89,7 @@ impl Eeprom {
             pending: 0,
             due_ns: 0,
             busy_ns,
+            stores_until_ns: 0,
             write_enabled: false,
             fault: SiiFault::Whole,
             flags,
@@ -188,8 +194,9 @@ impl Eeprom {
         let start = usize::try_from(start).unwrap_or(usize::MAX);
         let bytes = if self.flags & READS_EIGHT_BYTES != 0 { 8 } else { 4 };
         let mut status = 0;
+        let began_ns = self.due_ns.saturating_sub(self.busy_ns);
         match command {
-            _ if self.fault == SiiFault::Acknowledge => status = ERROR_COMMAND,
+            _ if self.fault == SiiFault::Acknowledge || began_ns < self.stores_until_ns => status = ERROR_COMMAND,
             COMMAND_READ if start < self.image.len() => {
                 for (index, target) in registers.iter_mut().skip(DATA).take(bytes).enumerate() {
                     *target = self.byte(start + index);
@@ -200,6 +207,9 @@ impl Eeprom {
                 let data = registers.iter().skip(DATA);
                 let place = self.image.iter_mut().skip(start).take(2);
                 place.zip(data).for_each(|(target, source)| *target = *source);
+                if self.flags & EMULATED == 0 {
+                    self.stores_until_ns = self.due_ns.saturating_add(STORE_NS);
+                }
             }
             COMMAND_RELOAD => self.is_loaded = self.is_valid(),
             _ => status = ERROR_COMMAND,
@@ -302,6 +312,24 @@ mod tests {
             registers[DATA] = 0x55;
             run(&mut eeprom, &mut registers);
             assert_eq!(eeprom.image[40], stored);
+        }
+    }
+
+    #[test]
+    fn a_memory_that_stores_a_word_acknowledges_nothing_and_one_that_is_emulated_does() {
+        for (flags, refuses) in [(READS_EIGHT_BYTES, true), (EMULATED, false)] {
+            let mut eeprom = Eeprom::new(image(), BUSY_NS, flags);
+            let mut at = |command: u16, now_ns: u64| {
+                let mut registers = registers(command, 20);
+                eeprom.command(&mut registers, now_ns);
+                eeprom.advance(&mut registers, now_ns + BUSY_NS);
+                eeprom.serve(&mut registers, now_ns + BUSY_NS);
+                word(&registers, CONTROL) & ERROR_COMMAND != 0
+            };
+            assert!(!at(COMMAND_WRITE | WRITE_ENABLE, 1_000_000));
+            assert_eq!(at(COMMAND_READ, 2_000_000), refuses);
+            assert_eq!(at(COMMAND_WRITE | WRITE_ENABLE, 3_000_000), refuses);
+            assert!(!at(COMMAND_READ, 1_000_000 + BUSY_NS + STORE_NS));
         }
     }
 

@@ -10,6 +10,9 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write as _;
 use std::path::Path;
 
+mod excuses;
+use excuses::{counter_excused, data_excused};
+
 /// Bit of the first byte of a source address that the first slave controller sets.
 const SOURCE_MARK: u8 = 0x02;
 /// Most exchanges that a recorded slave may take for a change of state.
@@ -195,30 +198,6 @@ fn recorded_images(exchanges: &[Exchanged], slaves: usize) -> Vec<Vec<u8>> {
     images
 }
 
-/// Why the data of this register may differ from the recording; `None` if they must not.
-fn data_excused(register: u16) -> Option<&'static str> {
-    match register {
-        0x0000..=0x000F => Some("silicon: another controller"),
-        0x0110..=0x0111 => Some("links: the recorded segment had other ports"),
-        0x0140..=0x0151 => Some("process interface: configured by the device's own memory"),
-        0x0220..=0x030F => Some("events and errors of that time"),
-        0x0500..=0x0507 => Some("size and busy bits of another memory"),
-        0x0800..=0x087F => Some("status of sync managers: mailboxes of that time"),
-        0x0900..=0x09FF => Some("clocks of that time"),
-        0x1000.. => Some("content of mailboxes and process data"),
-        _ => None,
-    }
-}
-
-/// Why the working counter may differ: whether a mailbox is full depends on what the device had to say.
-fn counter_excused(part: &Part) -> Option<&'static str> {
-    match part.register {
-        0x0120 => Some("the recorded slave had not read the last request yet"),
-        0x1000.. if matches!(part.command, 1..=6) => Some("mailboxes were full at other times"),
-        _ => None,
-    }
-}
-
 struct Outcome {
     datagrams: usize,
     data_compared: usize,
@@ -305,7 +284,7 @@ fn replay(exchanges: &[Exchanged], segment: &mut Segment<Flywheel>, pace: Pace) 
             // A state comes later in the recording, or is read by another command there.
             let is_state = |part: &Part| part.register == 0x0130 && part.data.first() == actual.data.first();
             let comes = recorded.register == 0x0130 && later.iter().any(is_state);
-            let excuse = data_excused(recorded.register).or(comes.then_some("states that came later"));
+            let excuse = data_excused(recorded, &actual).or(comes.then_some("states that came later"));
             match excuse {
                 Some(reason) => *outcome.excused.entry(reason).or_default() += 1,
                 None => outcome.differences.push(format!(
