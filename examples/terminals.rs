@@ -34,6 +34,7 @@ fn run(platform: &mut Platform) {
     let mut supervisor = Supervisor::new(supervisor);
     let mut supervision = pin!(supervisor.run());
     let setup = BusSetup {
+        slaves: 3,
         terminals: SlaveSet::ALL,
         exchange: ExchangeKind::Combined,
         watchdog_ms: 100,

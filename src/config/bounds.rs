@@ -4,6 +4,7 @@
 
 use super::pen_lift::PEN_BOUNDS;
 use super::{Axis, Bus, Config, PenLiftKind, Transport};
+use crate::robot_bus::BUS_SLAVES_MAX;
 use crate::robots::{AXES, Kind, MAIN_AXES};
 use etherpen_motion::Settings;
 use etherpen_motion::settings::{Bound, Violation, bound, first_violation};
@@ -59,7 +60,7 @@ const BLIND_MAX_MS: f64 = 8.0;
 pub const QUICK_STOP_MAX_MS: u32 = 950;
 
 /// Rows of the bus in the table of bounds.
-const BUS_BOUNDS: usize = 11;
+const BUS_BOUNDS: usize = 12;
 
 /// Rows of an axis in the table of bounds.
 const AXIS_BOUNDS: usize = 34;
@@ -246,6 +247,7 @@ impl Bus {
         let bus = self;
         [
             bound("bus.drives", f64::from(bus.drives), drives_min as f64, AXES as f64),
+            bound("bus.slaves", f64::from(bus.slaves), 0.0, BUS_SLAVES_MAX as f64),
             bound("bus.blind_max_ms", f64::from(bus.blind_max_ms), 1.0, BLIND_MAX_MS),
             bound("bus.late_max_per_s", f64::from(bus.late_max_per_s), 0.0, 1_000.0),
             bound("bus.host_silence_ms", f64::from(bus.host_silence_ms), 100.0, 10_000.0),

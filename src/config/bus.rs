@@ -96,6 +96,8 @@ pub struct NetworkSettings {
 pub struct Bus {
     /// Number of drives expected, in chain order; one for each axis.
     pub drives: u8,
+    /// Fewest slaves of the chain, with couplers and terminals, that the bring-up waits for; 0 if drives and named places tell.
+    pub slaves: u8,
     /// Separate telegrams for inputs and outputs within a cycle, or one telegram for both with outputs one cycle later.
     pub exchange: ExchangeKind,
     /// Sync manager watchdog of the drives, ms; longer than `blind_max_ms`.
@@ -148,6 +150,7 @@ impl Default for Bus {
         let _ = name.push_str("IRB 340");
         Self {
             drives: AXES as u8,
+            slaves: 0,
             exchange: ExchangeKind::Split,
             watchdog_ms: 10,
             blind_max_ms: 5,

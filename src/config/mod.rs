@@ -126,6 +126,7 @@ impl Config {
     #[must_use]
     pub fn bus_setup(&self) -> RobotBusSetup {
         RobotBusSetup {
+            slaves: self.bus.slaves,
             members: self.bus.drives,
             terminals: self.terminal_places(),
             values: self.wanted_values(),

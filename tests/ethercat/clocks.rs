@@ -65,7 +65,8 @@ again! {
         a_new_configuration_leaves_a_drive_in_boot_and_takes_the_others_out_of_operation,
         a_failed_bus_is_brought_up_after_the_transfer_whatever_is_plugged_meanwhile,
         a_stop_leaves_a_drive_in_boot,
-        a_file_left_open_in_boot_is_closed_by_the_next_request_that_needs_the_mailbox;
+        a_file_left_open_in_boot_is_closed_by_the_next_request_that_needs_the_mailbox,
+        a_new_configuration_waits_for_a_packet_over_which_the_drive_takes_longer_than_a_file_may_lie_idle;
     diagnosis [crate::diagnosis]
         a_damaged_cable_is_reported_with_the_slaves_at_its_ends,
         an_emergency_is_fetched_reported_and_kept_for_who_asks;
@@ -78,6 +79,7 @@ again! {
         a_refused_terminal_that_is_brought_to_op_by_a_request_is_read_again,
         a_refused_terminal_and_its_neighbour_that_returns_first_are_not_taken_for_each_other,
         a_terminal_that_was_too_slow_to_be_identified_comes_back_after_a_power_loss,
+        a_chain_whose_length_is_told_waits_for_a_missing_slave_that_nobody_names,
         a_chain_in_which_a_named_place_may_be_another_slave_waits_for_the_missing_one,
         outputs_become_0_when_the_bus_is_stopped_and_values_are_found_by_their_objects,
         a_drive_that_is_named_as_a_terminal_is_no_axis_wherever_it_is;

@@ -7,6 +7,7 @@ use etherpen::ethercat::event::Step;
 use etherpen::ethercat::state::AlState as Asked;
 use etherpen::ethercat::supervisor::{BusCommand, BusEvent};
 use etherpen::robots::AXES;
+use etherpen_segment::FileFault;
 use host_tools::cell::{AlState, CellOptions, Fault, SlaveKind};
 
 /// The slave whose file is transferred, from 0.
@@ -225,4 +226,38 @@ pub(crate) fn a_file_left_open_in_boot_is_closed_by_the_next_request_that_needs_
     close(&mut rig);
     rig.run_ms(20);
     assert_eq!(state(&rig), AlState::Operational);
+}
+
+#[test]
+pub(crate) fn a_new_configuration_waits_for_a_packet_over_which_the_drive_takes_longer_than_a_file_may_lie_idle() {
+    let mut rig = operational_drives();
+    open(&mut rig);
+    // Some twenty seconds in which the drive erases its memory.
+    rig.cell
+        .inject(Fault::File(usize::from(SLAVE) + 1, FileFault::Busy(1_500)));
+    let piece = Piece::from_slice(&[7; 100]).expect("a short piece");
+    let request = ServiceRequest::WriteFile {
+        slave: SLAVE,
+        piece,
+        last: true,
+    };
+    assert!(rig.services.enqueue(request).is_ok());
+    let (mut answer, began_ms) = (None, rig.now_ms);
+    while answer.is_none() {
+        rig.millisecond();
+        assert_eq!(state(&rig), AlState::Bootstrap, "{} ms", rig.now_ms);
+        if rig.now_ms == began_ms + 12_000 {
+            rig.start();
+        }
+        answer = rig.answers.dequeue();
+    }
+    assert!(rig.now_ms > began_ms + 12_500, "{} ms", rig.now_ms - began_ms);
+    assert_eq!(answer, Some(Ok(ServiceReply::Done)));
+    rig.run_ms(500);
+    assert_eq!((state(&rig), refusals(&rig)), (AlState::Bootstrap, 1), "{:#?}", rig.log);
+    close(&mut rig);
+    let file = rig.cell.file(usize::from(SLAVE) + 1, "fw.bin");
+    assert_eq!(file, Some([7; 100].as_slice()));
+    rig.start();
+    rig.operational();
 }

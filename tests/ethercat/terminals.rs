@@ -516,3 +516,33 @@ pub(crate) fn a_drive_that_is_named_as_a_terminal_is_no_axis_wherever_it_is() {
         assert_eq!(rig.al_state(named), AlState::Operational);
     }
 }
+
+#[test]
+pub(crate) fn a_chain_whose_length_is_told_waits_for_a_missing_slave_that_nobody_names() {
+    // Without the first EL1008, the named one would be the one behind it.
+    let chain = "ek1100,el1008,el1008,el1008,ax2000*4";
+    for told in [0, 8] {
+        let mut rig = rig_of(parse_slaves(chain).unwrap(), ExchangeKind::Split);
+        rig.setup.terminals = SlaveSet::places(&[2]);
+        rig.setup.slaves = told;
+        rig.cell.inject(Fault::Remove(2));
+        rig.start();
+        if told == 0 {
+            rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+            continue;
+        }
+        rig.wait_for(BRING_UP_MS_MAX, |event| matches!(event, BusEvent::Refused { .. }));
+        let error = BusError::SlaveCount {
+            expected: told.into(),
+            actual: 7,
+        };
+        let is_told = |event: &BusEvent| matches!(event, BusEvent::Refused { error: found, .. } if *found == error);
+        assert!(rig.log.iter().any(is_told), "{:#?}", rig.log);
+        rig.cell.inject(Fault::Insert(2));
+        rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+        rig.run_ms(20);
+        rig.cell.set_inputs(3, &[0x5A]);
+        rig.run_ms(THROUGH_MS);
+        assert_eq!(rig.input_bits(2, 0, 8), Some(0x5A));
+    }
+}

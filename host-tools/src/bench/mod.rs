@@ -67,6 +67,17 @@ pub struct BenchReport {
     pub rows: Vec<BenchRow>,
 }
 
+/// The figures that miss their targets, as text.
+#[must_use]
+pub fn missed(rows: &[BenchRow]) -> Vec<String> {
+    let missed = |row: &BenchRow| {
+        let bound = if row.is_more_better() { "at least" } else { "at most" };
+        let target = row.target.filter(|_| row.met() == Some(false))?;
+        Some(format!("{}: {} {}, {bound} {target}", row.case, row.value, row.unit))
+    };
+    rows.iter().filter_map(missed).collect()
+}
+
 /// Selection of a benchmark's cases.
 #[derive(Clone, Debug, Default)]
 pub struct Selection {
@@ -129,5 +140,29 @@ impl From<BenchError> for ProgramError {
 impl From<SetupError> for BenchError {
     fn from(error: SetupError) -> Self {
         Self::Setup(error)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missed_target_is_told_with_its_bound_and_others_are_not() {
+        let row = |case: &str, value, unit, target| BenchRow {
+            case: case.to_owned(),
+            subject: "etherpen",
+            value,
+            unit,
+            target,
+        };
+        let rows = [
+            row("met", 4.0, "frames", Some(4.0)),
+            row("more", 5.0, "frames", Some(4.0)),
+            row("less", 0.5, "share", Some(0.75)),
+            row("none", 9.0, "frames", None),
+        ];
+        let expected = ["more: 5 frames, at most 4", "less: 0.5 share, at least 0.75"];
+        assert_eq!(missed(&rows), expected);
     }
 }

@@ -2,7 +2,7 @@
 
 use super::print_json;
 use crate::bench::table::table;
-use crate::bench::{Selection, console, drawing, ethercat, motion, recording};
+use crate::bench::{self, Selection, console, drawing, ethercat, motion, recording};
 use crate::error::{ProgramError, code};
 use crate::setup;
 use std::io::Write;
@@ -77,6 +77,9 @@ struct Options {
     /// Only this subject.
     #[arg(long, value_name = "NAME")]
     subject: Option<String>,
+    /// A figure that misses its target is an error (exit code 1).
+    #[arg(long)]
+    check: bool,
 }
 
 impl Options {
@@ -91,7 +94,7 @@ impl Options {
 /// Runs the command.
 ///
 /// # Errors
-/// A tool is missing, or a measurement failed. A missed target is not an error.
+/// A tool is missing, or a measurement failed. A missed target is an error with `--check` only.
 pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let progress = |what: &str| eprintln!("etherpen: {what}");
     if !matches!(arguments.bench, Bench::Recording(_) | Bench::Console(_)) {
@@ -119,9 +122,17 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         ));
     }
     if options.json {
-        return print_json(&report);
+        print_json(&report)?;
+    } else {
+        let shown = std::io::stdout().write_all(table(&report).as_bytes());
+        shown.or_else(ProgramError::of_stdout)?;
     }
-    std::io::stdout()
-        .write_all(table(&report).as_bytes())
-        .or_else(ProgramError::of_stdout)
+    let missed = bench::missed(&report.rows);
+    if options.check && !missed.is_empty() {
+        return Err(ProgramError::new(
+            code::FAILED,
+            format!("missed: {}", missed.join("; ")),
+        ));
+    }
+    Ok(())
 }

@@ -67,6 +67,10 @@ fn steps() -> Vec<Step> {
         "matrix",
         "test --workspace --test reactions the_whole_fault_matrix -- --ignored",
     ));
+    steps.push(Step::new(
+        "bench-ethercat",
+        "run --release --bin etherpen -- bench ethercat --check",
+    ));
     steps.extend(PROFILES.map(|profile| {
         let arguments = format!(
             "run --release --bin etherpen -- campaign --profile {profile} --seeds {CAMPAIGN_SEEDS} --hours {CAMPAIGN_HOURS} \

@@ -1,11 +1,13 @@
 //! `etherpen verify`: all checks of continuous integration in one command.
 
 use super::{latency, nightly};
-use crate::bench::BenchRow;
+use crate::bench;
 use crate::bench::latency::{Disturbance, Isolation, LatencyPlan};
 use crate::error::{ProgramError, code};
 use crate::setup::{self, TARGET};
 use crate::terminal::in_colour;
+use std::io::Write;
+use std::process::{Command, ExitStatus};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Instant;
 
@@ -13,7 +15,7 @@ use std::time::Instant;
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     /// Do what takes longer than that instead, a day in all: campaigns, mutants, fuzzing, models, Miri, certificates,
-    /// advisories. Needs the nightly toolchain with Miri, cargo-fuzz and cargo-deny
+    /// the master's figures, advisories. Needs the nightly toolchain with Miri, cargo-fuzz and cargo-deny
     #[arg(long)]
     nightly: bool,
     /// With --nightly: only the steps whose names begin with this word
@@ -32,7 +34,17 @@ const HOST: [Step; 4] = [
         &["clippy", "--workspace", "--all-targets", "--", "-D", "warnings"],
     ),
     ("documentation", &["doc", "--workspace", "--no-deps", "--quiet"]),
-    ("tests, on the host and in the emulator", &["test", "--workspace"]),
+    ("build of the tests", &["test", "--workspace", "--no-run"]),
+];
+/// Tests that run at the same time, because each alone leaves a processor idle for minutes: programs and emulator, and the
+/// rest, whose output is shown when it has ended.
+const PROGRAMS: Step = (
+    "tests of programs, on the host and in the emulator",
+    &["test", "--workspace", "--test", "*"],
+);
+const LIBRARIES: [Step; 2] = [
+    ("tests of libraries", &["test", "--workspace", "--lib", "--bins"]),
+    ("examples of the documentation", &["test", "--workspace", "--doc"]),
 ];
 /// Steps for the boards, run in parallel. They use separate folders below target/, and the tests wait for the parts
 /// they need.
@@ -103,7 +115,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     };
     std::thread::scope(|scope| {
         let boards = scope.spawn(|| noted(boards(&has_failed)));
-        let host = noted(steps(&HOST, &has_failed));
+        let host = noted(steps(&HOST, &has_failed).and_then(|()| tests(&has_failed)));
         let boards = boards.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
         host.and(boards)
     })?;
@@ -125,7 +137,7 @@ const IN_TIME: [&str; 3] = ["cycles_late", "frames_lost", "release_jitter"];
 /// Measures whether the firmware is in time with foreign frames around every release; the tests apply all loads for
 /// fewer cycles.
 fn in_time() -> Result<(), ProgramError> {
-    let report = latency::measure(&LatencyPlan {
+    let mut report = latency::measure(&LatencyPlan {
         seed: 0,
         cycles: LATENCY_CYCLES,
         disturbance: Disturbance {
@@ -137,23 +149,10 @@ fn in_time() -> Result<(), ProgramError> {
         rate_khz: 1,
         instruction_shift: 3,
     })?;
-    let is_bound = |row: &&BenchRow| IN_TIME.iter().any(|case| row.case.starts_with(case));
-    let missed = report
+    report
         .rows
-        .iter()
-        .filter(is_bound)
-        .filter(|row| row.met() == Some(false));
-    let missed: Vec<String> = missed
-        .map(|row| {
-            format!(
-                "{}: {} {}, at most {}",
-                row.case,
-                row.value,
-                row.unit,
-                row.target.unwrap_or(0.0)
-            )
-        })
-        .collect();
+        .retain(|row| IN_TIME.iter().any(|case| row.case.starts_with(case)));
+    let missed = bench::missed(&report.rows);
     if missed.is_empty() {
         return Ok(());
     }
@@ -166,6 +165,21 @@ fn in_time() -> Result<(), ProgramError> {
 fn steps(all: &[Step], has_failed: &AtomicBool) -> Result<(), ProgramError> {
     let mut left = all.iter().take_while(|_| !has_failed.load(Ordering::Relaxed));
     left.try_for_each(|one| step(*one))
+}
+
+/// Runs the tests, which are built.
+fn tests(has_failed: &AtomicBool) -> Result<(), ProgramError> {
+    if has_failed.load(Ordering::Relaxed) {
+        return Ok(());
+    }
+    std::thread::scope(|scope| {
+        let libraries = scope.spawn(|| LIBRARIES.iter().try_for_each(|one| quiet_step(*one)));
+        let programs = step(PROGRAMS);
+        let libraries = libraries
+            .join()
+            .unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        programs.and(libraries)
+    })
 }
 
 /// Builds the firmware of the boards, and runs lints and the latency measurement.
@@ -188,12 +202,34 @@ fn announce(name: &str) {
 
 fn step((name, arguments): Step) -> Result<(), ProgramError> {
     announce(name);
+    ended(name, cargo(arguments).status())
+}
+
+/// A step whose output is shown when it has ended, so that it does not mingle with that of another.
+fn quiet_step((name, arguments): Step) -> Result<(), ProgramError> {
+    let output = cargo(arguments).output();
+    announce(name);
+    if let Ok(output) = &output {
+        let mut stderr = std::io::stderr().lock();
+        let shown = stderr.write_all(&output.stdout);
+        shown
+            .and_then(|()| stderr.write_all(&output.stderr))
+            .map_err(|cause| ProgramError::failed("the output of the tests", cause))?;
+    }
+    ended(name, output.map(|output| output.status))
+}
+
+fn cargo(arguments: &[&str]) -> Command {
     let mut command = setup::cargo();
     command.args(arguments);
     if arguments.first() == Some(&"doc") {
         command.env("RUSTDOCFLAGS", "-D warnings");
     }
-    match command.status() {
+    command
+}
+
+fn ended(name: &str, status: std::io::Result<ExitStatus>) -> Result<(), ProgramError> {
+    match status {
         Ok(status) if status.success() => Ok(()),
         Ok(status) => Err(ProgramError::new(code::FAILED, format!("{name} failed ({status})"))),
         Err(cause) => Err(ProgramError::failed("cargo cannot be started", cause)),

@@ -10,6 +10,8 @@ fn figures_come_as_rows_with_case_subject_value_unit_and_target() {
     let figure = ["--case", "bringup_frames", "--subject", "etherpen"];
     let (status, stdout, stderr) = run(etherpen(&folder).args(["bench", "ethercat", "--json"]).args(figure));
     assert_eq!(status, Some(0), "{stderr}");
+    let checked = run(etherpen(&folder).args(["bench", "ethercat", "--check"]).args(figure));
+    assert_eq!(checked.0, Some(0), "{}", checked.2);
     let report: Value = serde_json::from_str(&stdout).expect("JSON on stdout");
     assert_eq!(report["bench"], "ethercat");
     let rows = report["rows"].as_array().expect("rows");

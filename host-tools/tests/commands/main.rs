@@ -15,6 +15,7 @@ mod drawing;
 #[cfg(target_os = "linux")]
 mod emulator;
 mod ethercrab;
+mod examples_on_a_cable;
 mod files;
 mod followed;
 mod installed;

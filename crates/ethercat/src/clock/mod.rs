@@ -133,10 +133,9 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
             .iter()
             .enumerate()
             .filter(|(position, _)| answers(*position));
-        let clocks = present.filter_map(|(_, slave)| slave.width);
-        let (slaves, wide) = clocks.fold((0, true), |(slaves, wide), width| {
-            (slaves + 1, wide && width == Width::Bits64)
-        });
+        let slaves = present.filter(|(_, slave)| slave.width.is_some()).count() as u16;
+        // A clock of 32 bits that is lost may have told the others a time without an upper half.
+        let wide = self.slaves.iter().all(|slave| slave.width != Some(Width::Bits32));
         Some(ReferenceClock {
             station,
             slaves: if self.is_held { 1 } else { slaves },
@@ -373,7 +372,7 @@ fn open_ports(status: u16) -> u8 {
 
 /// Makes all clocks agree: measures, writes offsets and delays, and distributes the reference's time until the control
 /// loops start to follow. Does nothing on a bus without clocks. `time_number` is that of the time which begins. A clock that
-/// cannot be set counts as none if `is_used` returns false for its slave, unless it is the reference.
+/// cannot be set counts as none if `is_used` returns false for its slave.
 ///
 /// # Errors
 /// As [`AcyclicPort::send_until_counted`].
@@ -386,11 +385,26 @@ pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
 ) -> Result<BusClocks<SLAVES>, BusError> {
     let mut clocks: BusClocks<SLAVES> = discover(port, stations).await?;
     (clocks.period_ns, clocks.time_number) = (period_ns, time_number);
-    let Some(reference) = clocks.reference() else {
-        return Ok(clocks);
-    };
-    clocks.told_by = Some(reference);
-    measure(port, stations, &mut clocks, |_| true).await?;
+    while let Some(reference) = clocks.reference() {
+        clocks.told_by = Some(reference);
+        measure(port, stations, &mut clocks, |_| true).await?;
+        if set_all(port, stations, &mut clocks, reference, &is_used).await? {
+            settle(port, stations, &mut clocks).await?;
+            break;
+        }
+    }
+    Ok(clocks)
+}
+
+/// Sets all clocks to the time of the reference. A clock that cannot be set counts as none if `is_used` returns false for its
+/// slave; returns false if that is the reference.
+async fn set_all<const SLAVES: usize, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    stations: &[u16],
+    clocks: &mut BusClocks<SLAVES>,
+    reference: usize,
+    is_used: impl Fn(usize) -> bool,
+) -> Result<bool, BusError> {
     for (position, station) in stations.iter().enumerate() {
         if !clocks.has_clock(position) {
             continue;
@@ -399,14 +413,18 @@ pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
             true => Some(0),
             false => clocks.offset_ns(position, reference),
         };
-        let written = write_offset(port, *station, position, &mut clocks, offset_ns.unwrap_or(0)).await;
+        let written = write_offset(port, *station, position, clocks, offset_ns.unwrap_or(0)).await;
         match (written, clocks.slaves.get_mut(position)) {
-            (Err(_), Some(slave)) if !is_used(position) && position != reference => slave.width = None,
+            (Err(_), Some(slave)) if !is_used(position) => {
+                slave.width = None;
+                if position == reference {
+                    return Ok(false);
+                }
+            }
             (written, _) => written?,
         }
     }
-    settle(port, stations, &mut clocks).await?;
-    Ok(clocks)
+    Ok(true)
 }
 
 /// Sets the clock of a slave that was switched off or cut off to the time of the bus. The other slaves keep their time,
@@ -631,26 +649,22 @@ pub async fn await_agreement<const MESSAGE: usize>(
     station: u16,
     settling: Settling,
 ) -> Result<i32, BusError> {
-    let (started_ms, mut agreed, mut first_ns) = (port.now_ms(), 0, 0);
+    let (started_ms, mut agreed, mut least_ns, mut most_ns) = (port.now_ms(), 0, 0, 0);
     loop {
         let actual_ns = difference_ns(port, station).await?;
-        if actual_ns.unsigned_abs() <= settling.difference_ns {
-            (agreed, first_ns) = match agreed {
-                0 => (1, actual_ns),
-                agreed => (agreed + 1, first_ns),
-            };
-        } else {
-            agreed = 0;
-        }
+        (agreed, least_ns, most_ns) = match agreed {
+            _ if actual_ns.unsigned_abs() > settling.difference_ns => (0, 0, 0),
+            0 => (1, actual_ns, actual_ns),
+            agreed => (agreed + 1, actual_ns.min(least_ns), actual_ns.max(most_ns)),
+        };
         if agreed >= AGREED_READINGS {
-            if actual_ns.abs_diff(first_ns) <= settling.difference_ns / CHANGE_SHARE {
+            if most_ns.abs_diff(least_ns) <= settling.difference_ns / CHANGE_SHARE {
                 return Ok(actual_ns);
             }
-            (agreed, first_ns) = (1, actual_ns);
+            (agreed, least_ns, most_ns) = (1, actual_ns, actual_ns);
         }
         if agreed > 0 {
             port.wait_ms(AGREED_APART_MS).await;
-            continue;
         }
         let waited_ms = port.now_ms().wrapping_sub(started_ms);
         if waited_ms > settling.wait_ms {

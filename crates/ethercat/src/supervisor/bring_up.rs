@@ -70,20 +70,25 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
 
     /// Exchanges inputs and outputs apart if they are to travel together, but a slave in use does not support LRW.
     async fn choose_exchange(&mut self) -> Result<(), Failure> {
-        if self.setup.exchange != ExchangeKind::Combined {
-            return Ok(());
+        for number in 0..self.slaves.len() {
+            self.allow_for(number).await?;
         }
-        let Self { port, slaves, .. } = self;
-        for slave in slaves.iter().filter(|slave| slave.is_used()) {
-            let flags = match information::general_flags(port, slave.station()).await {
-                // A terminal that cannot be read yet may not support it.
-                Err(_) if slave.is_terminal => sii::FLAG_NO_LRW,
-                flags => flags.map_err(Failure::of(slave.position, Step::Identify))?,
-            };
-            if flags & sii::FLAG_NO_LRW != 0 {
-                self.exchange = ExchangeKind::Split;
-                return Ok(());
-            }
+        Ok(())
+    }
+
+    /// Exchanges inputs and outputs apart from now on if a slave in use does not support LRW.
+    pub(super) async fn allow_for(&mut self, number: usize) -> Result<(), Failure> {
+        let slave = self.slaves.get(number).filter(|slave| slave.is_used()).copied();
+        let Some(slave) = slave.filter(|_| self.exchange == ExchangeKind::Combined) else {
+            return Ok(());
+        };
+        let flags = match information::general_flags(&mut self.port, slave.station()).await {
+            // A terminal that cannot be read yet may not support it.
+            Err(_) if slave.is_terminal => sii::FLAG_NO_LRW,
+            flags => flags.map_err(Failure::of(slave.position, Step::Identify))?,
+        };
+        if flags & sii::FLAG_NO_LRW != 0 {
+            self.exchange = ExchangeKind::Split;
         }
         Ok(())
     }
@@ -104,14 +109,19 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         Ok(())
     }
 
-    /// Fewest slaves of a chain that can be brought up: with one missing before the last terminal that is named, the places
-    /// would be those of other slaves.
+    /// Fewest slaves of a chain that can be brought up: all up to the last terminal that is named, and the members that are
+    /// not among them; or as many as the setup tells.
     pub(super) fn fewest_slaves(&self) -> u16 {
+        let members = u16::from(self.setup.members);
         let named = match self.setup.terminals {
-            SlaveSet::ALL => 0,
-            places => places.last().map_or(0, |last| last as u16 + 1),
+            SlaveSet::ALL => members,
+            places => {
+                let up_to_last = places.last().map_or(0, |last| last as u16 + 1);
+                let others = up_to_last.saturating_sub(places.count() as u16);
+                up_to_last + members.saturating_sub(others)
+            }
         };
-        named.max(self.setup.members.into())
+        named.max(self.setup.slaves.into())
     }
 
     /// Waits until as many slaves as expected are there and their number is stable.

@@ -158,7 +158,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         Ok(())
     }
 
-    /// Notes that a request for the open file was carried out.
+    /// Notes that a request for the open file has ended, carried out or not.
     pub(super) fn use_file(&mut self) {
         let now_ms = self.port.now_ms();
         if let Some(file) = self.file.as_mut() {
@@ -166,13 +166,15 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         }
     }
 
-    /// Whether a request passes a packet of a file in BOOT on.
+    /// Whether a request opens a file in BOOT, or passes a packet of one on.
     pub(super) fn transfers(&self, request: &ServiceRequest) -> bool {
-        let is_packet = matches!(
-            request,
-            ServiceRequest::ReadFile { .. } | ServiceRequest::WriteFile { .. }
-        );
-        is_packet && self.file.is_some_and(|file| file.bootstrap)
+        match request {
+            ServiceRequest::OpenFile { file, .. } => file.bootstrap,
+            ServiceRequest::ReadFile { .. } | ServiceRequest::WriteFile { .. } => {
+                self.file.is_some_and(|file| file.bootstrap)
+            }
+            _ => false,
+        }
     }
 
     /// The slave whose file is being transferred in BOOT: its memory may stay half written if its state is changed. A slave
@@ -207,20 +209,40 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         self.value.clear();
     }
 
-    /// Brings a slave to BOOT, with the mailboxes of this state.
+    /// Brings a slave to BOOT, with the mailboxes of this state. One that has none is left as it is.
     async fn enter_bootstrap(&mut self, number: usize, fixed: FixedPart) -> Result<(), ServiceError> {
+        let station = self.slaves.get(number).ok_or(ServiceError::Interrupted)?.station();
+        let (fixed, mailbox) = match self.bootstrap_mailboxes(station, fixed).await {
+            Ok(found) => found,
+            Err(error) => {
+                self.return_memory(number).await;
+                return Err(error.into());
+            }
+        };
         self.work_on(Some(number)).await;
         let Self { port, slaves, .. } = self;
         let slave = slaves.get_mut(number).ok_or(ServiceError::Interrupted)?;
-        let station = slave.station();
         if slave.is_used() {
             slave.condition = Condition::Parked;
         } else {
             (slave.process_data, slave.own_data) = (None, None);
         }
-        information::take(port, station).await;
+        state::change(port, station, AlState::Init).await?;
+        slave.report = AlReport::default();
+        discovery::clear(port, station).await?;
+        discovery::mailbox_managers(port, station, &fixed).await?;
+        state::change(port, station, AlState::Bootstrap).await?;
+        slave.mailbox = mailbox;
+        slave.report = state::report(port, station).await?;
+        self.introduce(number).await;
+        Ok(())
+    }
+
+    /// The mailboxes that a slave's information memory names for BOOT.
+    async fn bootstrap_mailboxes(&mut self, station: u16, fixed: FixedPart) -> Result<(FixedPart, Mailbox), BusError> {
+        information::take(&mut self.port, station).await;
         let mut words = [0; BOOTSTRAP_LEN];
-        information::read_words(port, station, WORD_BOOTSTRAP_OUT, &mut words).await?;
+        information::read_words(&mut self.port, station, WORD_BOOTSTRAP_OUT, &mut words).await?;
         let window = |at: usize| MailboxWindow {
             start: read_u16(&words, at),
             length: read_u16(&words, at + 2),
@@ -231,15 +253,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             ..fixed
         };
         let mailbox = Mailbox::new::<MESSAGE>(station, fixed.mailbox_out, fixed.mailbox_in)?;
-        state::change(port, station, AlState::Init).await?;
-        slave.report = AlReport::default();
-        discovery::clear(port, station).await?;
-        discovery::mailbox_managers(port, station, &fixed).await?;
-        state::change(port, station, AlState::Bootstrap).await?;
-        slave.mailbox = mailbox;
-        slave.report = state::report(port, station).await?;
-        self.introduce(number).await;
-        Ok(())
+        Ok((fixed, mailbox))
     }
 
     /// Makes sure that a slave's mailbox can be used, whatever it speaks: a slave in INIT is brought to PREOP.

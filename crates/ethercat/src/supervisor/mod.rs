@@ -7,10 +7,11 @@
 //! ([`diagnostics`](super::diagnostics)), even on a bus that was not brought up. Every failed step is reported with
 //! slave, step and reason.
 //!
-//! Invariants: a slave whose file is being transferred in BOOT is left there, whatever is commanded; a slave in use is only repaired on command; a slave is only taken back if it is the product that was
-//! there before; every wait ends; while work on one slave is in progress, a slave that stops answering or leaves OP is
-//! detected within 100 ms, or 200 ms in a chain of more than 32. One that leaves OP with its error flag set is detected after that work, if a slave that waits
-//! for its own repair shows that flag already: the answers of all slaves come as one sum.
+//! Invariants: a slave whose file is being transferred in BOOT is left there, whatever is commanded; a slave in use is
+//! only repaired on command; a slave is only taken back if it is the product that was there before; every wait ends;
+//! while work on one slave is in progress, a slave that stops answering or leaves OP is detected within 100 ms, or 200 ms
+//! in a chain of more than 32. One that leaves OP with its error flag set is detected after that work, if a slave that
+//! waits for its own repair shows that flag already: the answers of all slaves come as one sum.
 
 mod bring_up;
 mod bus;
@@ -48,8 +49,9 @@ const LOOK_PERIOD_MS: u32 = 20;
 pub const LINK_TIMEOUT_MS: u32 = 5_000;
 /// How often a repair is restarted after another slave has interrupted it.
 const REPAIR_TRIES_MAX: u8 = 3;
-/// How long a chain that has changed after a failed bring-up has to be stable before the next one, ms; twice as long before
-/// each further one, so that a loose contact does not restart the drives again and again.
+/// How long a chain that has changed after a failed bring-up has to be stable before the next one, ms, and how long a slave
+/// that was too slow is left alone; twice as long before each further one, so that a loose contact does not restart the
+/// drives again and again.
 const CHANGED_MS: u32 = 100;
 /// How often this time is doubled: half a minute then.
 const DOUBLED_MAX: u8 = 8;
@@ -226,7 +228,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         }
     }
 
-    /// Waits a millisecond after a failed bring-up; brings the bus up once the chain has changed and has slaves enough.
+    /// Waits a millisecond after a failed bring-up; brings the bus up once the chain has changed, or a slave was too slow, and
+    /// there are slaves enough.
     async fn await_change(&mut self) {
         self.bus.port.wait_ms(1).await;
         self.inbox.observe(&Expectation::ANYTHING);
@@ -275,6 +278,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                     BusError::SlaveCount { actual, .. } => actual,
                     _ => self.inbox.slaves(),
                 };
+                // A slave that was too slow may answer the next time, although the chain does not change.
+                self.changed_ms = is_of_time(&failure.error).then_some(self.bus.port.now_ms());
                 self.bus.refuse(failure).await;
             }
             Err(Interruption::Command) => {}
@@ -540,6 +545,13 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             let work = pin!(bus.carry_out(&request, seen, running));
             inbox.guard(expected, kind, work).await
         };
+        if matches!(
+            request,
+            ServiceRequest::OpenFile { .. } | ServiceRequest::ReadFile { .. } | ServiceRequest::WriteFile { .. }
+        ) {
+            // A slave that erases its memory may take longer over a packet than a file may lie idle.
+            bus.use_file();
+        }
         if bus.is_worked_on() {
             bus.work_on(None).await;
         }
@@ -552,6 +564,17 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             self.bus.port.wait_ms(1).await;
         }
     }
+}
+
+/// Whether a slave has only not answered in time.
+fn is_of_time(error: &BusError) -> bool {
+    matches!(
+        error,
+        BusError::SiiBusy { .. }
+            | BusError::RequestUnread { .. }
+            | BusError::StateTimeout { .. }
+            | BusError::MailboxTimeout { .. }
+    )
 }
 
 /// A list with a place for each slave of one inspection.

@@ -59,16 +59,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 }
                 opened
             }
-            ServiceRequest::ReadFile { .. } => {
-                let piece = self.read_file(number).await;
-                self.use_file();
-                piece
-            }
-            ServiceRequest::WriteFile { piece, last, .. } => {
-                let written = self.write_file(number, piece, *last).await;
-                self.use_file();
-                written
-            }
+            ServiceRequest::ReadFile { .. } => self.read_file(number).await,
+            ServiceRequest::WriteFile { piece, last, .. } => self.write_file(number, piece, *last).await,
             ServiceRequest::CloseFile { .. } => {
                 self.close_file().await?;
                 Ok(ServiceReply::Done)
@@ -125,7 +117,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     }
 
     /// Gives the SII back to a slave that has had it since SAFEOP.
-    async fn return_memory(&mut self, number: usize) {
+    pub(super) async fn return_memory(&mut self, number: usize) {
         let Some(slave) = self.slaves.get(number) else { return };
         let state = slave.report.state().unwrap_or(AlState::Init);
         if matches!(state, AlState::SafeOperational | AlState::Operational) {

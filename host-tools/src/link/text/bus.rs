@@ -271,10 +271,16 @@ pub fn bus_error(error: &BusError) -> String {
             expected_ns,
             actual_ns,
             waited_ms,
-        } => format!(
-            "the slave's clock is {actual_ns} ns from the reference after {waited_ms} ms, more than {expected_ns} ns; \
-             without clocks (bus.clocks) it can be used all the same"
-        ),
+        } => {
+            let why = match actual_ns.unsigned_abs() <= expected_ns {
+                true => "and still moves against it".to_owned(),
+                false => format!("more than {expected_ns} ns"),
+            };
+            format!(
+                "the slave's clock is {actual_ns} ns from the reference after {waited_ms} ms, {why}; without clocks \
+                 (bus.clocks) it can be used all the same"
+            )
+        }
     }
 }
 
