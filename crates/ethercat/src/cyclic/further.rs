@@ -209,12 +209,15 @@ impl<const SLAVES: usize, const FURTHER: usize> Further<SLAVES, FURTHER> {
     /// The frame whose reply has this index.
     #[inline(always)]
     pub(super) fn awaits(&self, index: u8) -> Option<(usize, Turn)> {
-        let numbered = self.pairs.iter().enumerate();
-        let mut frames = numbered
-            .flat_map(|(number, pair)| [(number, Turn::First, &pair.first), (number, Turn::Second, &pair.second)]);
-        frames
-            .find(|(.., telegram)| telegram.awaits(index))
-            .map(|(number, turn, _)| (number, turn))
+        for (number, pair) in self.pairs.iter().enumerate() {
+            if pair.first.awaits(index) {
+                return Some((number, Turn::First));
+            }
+            if pair.second.awaits(index) {
+                return Some((number, Turn::Second));
+            }
+        }
+        None
     }
 
     /// Whether the reply of this index has come.
