@@ -68,6 +68,10 @@ fn steps() -> Vec<Step> {
         "test --workspace --test reactions the_whole_fault_matrix -- --ignored",
     ));
     steps.push(Step::new(
+        "pictures",
+        "test --release -p host-tools --lib time_budget -- --ignored --nocapture",
+    ));
+    steps.push(Step::new(
         "bench-ethercat",
         "run --release --bin etherpen -- bench ethercat --check",
     ));

@@ -104,23 +104,31 @@ fn assert_kept(file: &str, style: &str, budgets_s: &[f64]) {
 
 #[test]
 fn a_sketch_keeps_its_time_and_loses_detail_everywhere() {
-    assert_kept("astronaut.png", "sketch", &[20.0, 75.0]);
     assert_kept("camera.png", "sketch", &[33.0]);
 }
 
 #[test]
 fn hatching_keeps_its_time_and_loses_detail_everywhere() {
-    assert_kept("astronaut.png", "hatch", &[24.0, 90.0]);
+    assert_kept("astronaut.png", "hatch", &[24.0]);
 }
 
 #[test]
 fn flow_keeps_its_time_and_loses_detail_everywhere() {
-    assert_kept("camera.png", "flow", &[20.0, 60.0]);
+    assert_kept("camera.png", "flow", &[20.0]);
 }
 
 #[test]
 fn the_single_line_keeps_its_time_and_loses_detail_everywhere() {
-    assert_kept("astronaut.png", "tsp", &[20.0, 110.0]);
+    assert_kept("astronaut.png", "tsp", &[20.0]);
+}
+
+#[test]
+#[ignore = "more photographs and times than continuous integration has time for; nightly does it"]
+fn every_style_keeps_short_and_long_times() {
+    assert_kept("astronaut.png", "sketch", &[20.0, 75.0]);
+    assert_kept("astronaut.png", "hatch", &[90.0]);
+    assert_kept("camera.png", "flow", &[60.0]);
+    assert_kept("astronaut.png", "tsp", &[110.0]);
 }
 
 /// Length of the strokes in the circle around the largest face, and elsewhere, mm.
@@ -141,24 +149,35 @@ fn in_face_and_elsewhere(composed: &Composed) -> [f64; 2] {
     lengths
 }
 
+/// Checks that the face keeps more of its lines than the rest does, by the factors that belong to the times.
+fn assert_face_kept(style: &str, times: &[(&'static str, f64)]) {
+    let words = ["--style", style, "--crop", "head", "--max-time"];
+    let with = |time: &'static str| {
+        let words: Vec<&str> = words.into_iter().chain([time]).collect();
+        in_face_and_elsewhere(&composed("astronaut.png", &words).expect("it can be met"))
+    };
+    let whole = with("24h");
+    for (budget, least) in times {
+        let less = with(budget);
+        let kept = [0, 1].map(|k| less[k] / whole[k]);
+        println!(
+            "{style} in {budget} s: {:.3} of the face's lines, {:.3} elsewhere",
+            kept[0], kept[1]
+        );
+        assert!(kept[0] > least * kept[1], "{style} in {budget} s: {kept:?}");
+    }
+}
+
 #[test]
 fn a_face_gives_up_its_detail_last() {
+    assert_face_kept("sketch", &[("20", 1.4)]);
+}
+
+#[test]
+#[ignore = "nightly does it"]
+fn a_face_gives_up_its_detail_last_in_every_style_and_time() {
     for style in ["sketch", "hatch"] {
-        let words = ["--style", style, "--crop", "head", "--max-time"];
-        let with = |time: &'static str| {
-            let words: Vec<&str> = words.into_iter().chain([time]).collect();
-            in_face_and_elsewhere(&composed("astronaut.png", &words).expect("it can be met"))
-        };
-        let whole = with("24h");
-        for (budget, least) in [("20", 1.4), ("60", 1.05)] {
-            let less = with(budget);
-            let kept = [0, 1].map(|k| less[k] / whole[k]);
-            println!(
-                "{style} in {budget} s: {:.3} of the face's lines, {:.3} elsewhere",
-                kept[0], kept[1]
-            );
-            assert!(kept[0] > least * kept[1], "{style} in {budget} s: {kept:?}");
-        }
+        assert_face_kept(style, &[("20", 1.4), ("60", 1.05)]);
     }
 }
 
