@@ -138,6 +138,10 @@ fn by_position(episode: &mut Episode, machine: &Machine) {
         let gain = Value::Float(POSITION_GAIN_PER_S);
         episode.config.insert(format!("axes.{axis}.feedback_gain_per_s"), gain);
     }
+    if episode.configuration().is_err() {
+        // An axis may be faster with this gain, and then cannot have a gentle stop.
+        episode.config.retain(|place, _| !place.ends_with(".quick_stop_rad_s2"));
+    }
 }
 
 /// Lets the sheet lie aslant, as far as the machine reaches all of it.
