@@ -74,11 +74,11 @@ fn run(platform: &mut Platform) {
         let _ = supervision.as_mut().poll(&mut Context::from_waker(Waker::noop()));
         while let Some(event) = application.events.dequeue() {
             match event {
-                BusEvent::Refused { position, step, error } => {
-                    platform.say(format_args!("slave {position:?}, {step:?}: {error:?}, once more"));
+                BusEvent::Operational => platform.say(format_args!("operational")),
+                BusEvent::SlaveLost { .. } | BusEvent::SlaveLeft { .. } | BusEvent::Refused { .. } => {
+                    platform.say(format_args!("{event:?}, once more"));
                     let _ = application.commands.enqueue(BusCommand::Recover);
                 }
-                BusEvent::Operational => platform.say(format_args!("operational")),
                 _ => {}
             }
         }

@@ -64,7 +64,7 @@ const PLANNER: &[Suite] = &[
     library("crates/motion"),
 ];
 
-/// All mutated code. What only diagnoses, prints or describes (the object dictionary, names of a slave, topology for
+/// All mutated code. What only diagnoses, prints or describes (the object dictionary, names of a slave, cables for
 /// display) and the drivers of the boards are left out.
 pub(crate) const PARTS: &[Part] = &[
     Part {
@@ -121,23 +121,31 @@ pub(crate) const PARTS: &[Part] = &[
             "crates/ethercat/src/acyclic.rs",
             "crates/ethercat/src/clock",
             "crates/ethercat/src/coe.rs",
-            "crates/ethercat/src/configure/discovery.rs",
-            "crates/ethercat/src/configure/pre_operational.rs",
+            "crates/ethercat/src/configure",
             "crates/ethercat/src/cyclic",
             "crates/ethercat/src/cyclic.rs",
             "crates/ethercat/src/encapsulation.rs",
+            "crates/ethercat/src/foe.rs",
             "crates/ethercat/src/frame_port.rs",
             "crates/ethercat/src/mailbox.rs",
+            "crates/ethercat/src/place.rs",
             "crates/ethercat/src/plan.rs",
+            "crates/ethercat/src/process_data.rs",
             "crates/ethercat/src/queue.rs",
             "crates/ethercat/src/state.rs",
             "crates/ethercat/src/supervisor/bring_up.rs",
             "crates/ethercat/src/supervisor/bus.rs",
+            "crates/ethercat/src/supervisor/files.rs",
+            "crates/ethercat/src/supervisor/identity.rs",
+            "crates/ethercat/src/supervisor/inbox.rs",
             "crates/ethercat/src/supervisor/mod.rs",
             "crates/ethercat/src/supervisor/repair.rs",
+            "crates/ethercat/src/supervisor/requests.rs",
+            "crates/ethercat/src/supervisor/rescan.rs",
             "crates/ethercat/src/supervisor/state_request.rs",
             "crates/ethercat/src/telegram",
             "crates/ethercat/src/telegram.rs",
+            "crates/ethercat/src/topology.rs",
             "crates/ethercat/src/wire/datagram.rs",
             "crates/ethercat/src/wire/frame.rs",
             "crates/ethercat/src/wire/udp.rs",
