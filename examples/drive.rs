@@ -1,4 +1,5 @@
-//! One CiA 402 drive without a robot: power on, one turn of the motor in each direction, power off.
+//! One CiA 402 drive without a robot: power on, one turn of the motor in each direction, power off. A drive that is
+//! lost meanwhile is recovered and goes on.
 //!
 //! Emulated board: `cargo build --release -p etherpen --target thumbv7em-none-eabihf --no-default-features --features
 //! emulated --example drive`. Linux: `cargo run --example drive -- eth1`.

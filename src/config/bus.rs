@@ -96,7 +96,8 @@ pub struct NetworkSettings {
 pub struct Bus {
     /// Number of drives expected, in chain order; one for each axis.
     pub drives: u8,
-    /// Fewest slaves of the chain, with couplers and terminals, that the bring-up waits for; 0 if drives and named places tell.
+    /// Number of slaves, with couplers and terminals, for which the bring-up waits; 0: enough for the drives and the named
+    /// places.
     pub slaves: u8,
     /// Separate telegrams for inputs and outputs within a cycle, or one telegram for both with outputs one cycle later.
     pub exchange: ExchangeKind,

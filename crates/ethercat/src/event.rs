@@ -84,8 +84,8 @@ pub struct BusSetup<F: SlaveFactory> {
     /// Members expected: the first slaves in the chain that have a driver and are not among the terminals that are named,
     /// in chain order.
     pub members: u8,
-    /// Fewest slaves of the chain, those that nobody uses included: the bring-up waits for them, so that no slave that is
-    /// slow to start shifts the places of those behind it. 0 if members and named terminals tell.
+    /// Number of slaves, those that nobody uses included, for which the bring-up waits, so that no slave that is slow to
+    /// start shifts the places of those behind it. 0: enough for the members and the named terminals.
     pub slaves: u8,
     /// Places of further slaves that take part with their own process data: those of the set that are no members. A set
     /// of all places leaves members their places; any other set takes its places from them. Terminals

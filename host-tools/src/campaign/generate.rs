@@ -141,6 +141,7 @@ fn by_position(episode: &mut Episode, machine: &Machine) {
     if episode.configuration().is_err() {
         // An axis may be faster with this gain, and then cannot have a gentle stop.
         episode.config.retain(|place, _| !place.ends_with(".quick_stop_rad_s2"));
+        keep_valid(episode);
     }
 }
 

@@ -4,10 +4,9 @@ use super::drives::generic_drive;
 use super::fake::{FakeSegment, FakeSlave};
 use super::identity::numbered;
 use super::rig::{Next, run, run_with, setup};
-use etherpen_ethercat::configure::identification::ExpectedIdentity;
 use etherpen_ethercat::cyclic::ExchangeKind;
 use etherpen_ethercat::error::{BusError, IdentityProperty};
-use etherpen_ethercat::event::{BusEvent, BusSetup, PlaceIdentity, Step};
+use etherpen_ethercat::event::{BusEvent, BusSetup, Step};
 use etherpen_ethercat::slave_set::SlaveSet;
 use etherpen_ethercat::wire::coe::Object;
 use etherpen_ethercat::wire::register;
@@ -169,7 +168,7 @@ fn a_drive_that_is_slower_than_the_longest_wait_is_brought_up_unasked_all_the_sa
         panic!("{log:#?}");
     };
     assert_eq!(states, [8; 4]);
-    assert!((20_000..27_000).contains(&last_ms), "{last_ms} ms");
+    assert!((24_000..29_500).contains(&last_ms), "{last_ms} ms");
 }
 
 #[test]
@@ -451,56 +450,4 @@ fn inputs_and_outputs_travel_apart_if_a_slave_in_use_does_not_support_them_toget
             },
         );
     }
-}
-
-#[test]
-fn inputs_and_outputs_travel_apart_from_the_repair_on_that_brings_a_terminal_which_does_not_support_them_together() {
-    const PRODUCT: u32 = 0x044C_2C53;
-    let mut segment = FakeSegment::drives(4);
-    segment.slaves.push(terminal());
-    for slave in &mut segment.slaves {
-        with_flags(slave, 0);
-    }
-    let wanted = PlaceIdentity {
-        slave: 4,
-        identity: ExpectedIdentity {
-            product: PRODUCT,
-            ..ExpectedIdentity::default()
-        },
-    };
-    let setup = BusSetup {
-        exchange: ExchangeKind::Combined,
-        terminals: SlaveSet::of(4),
-        identities: [wanted].into_iter().collect(),
-        ..setup()
-    };
-    let (mut refused, mut exchanged_ms) = (false, None);
-    run_with(
-        setup,
-        segment,
-        |_| false,
-        |now_ms, bench, events| {
-            let is_refused = |event: &BusEvent| matches!(event, BusEvent::TerminalRefused { position: 4, .. });
-            refused |= events.iter().any(is_refused);
-            match exchanged_ms {
-                None if events.contains(&BusEvent::Operational) => {
-                    assert!(refused, "it is another product");
-                    assert_eq!(bench.exchange.plan().exchange, ExchangeKind::Combined);
-                    let mut right = terminal();
-                    right.sii[20..24].copy_from_slice(&PRODUCT.to_le_bytes());
-                    with_flags(&mut right, 1 << 1);
-                    bench.segment.slaves[4] = right;
-                    exchanged_ms = Some(now_ms);
-                    Next::On
-                }
-                Some(at_ms) if now_ms == at_ms + 500 => Next::Recover,
-                Some(at_ms) if now_ms > at_ms + 500 && bench.segment.states()[4] == 8 => {
-                    assert_eq!(bench.exchange.plan().exchange, ExchangeKind::Split);
-                    assert_eq!(bench.segment.states(), [8; 5]);
-                    Next::Done
-                }
-                _ => Next::On,
-            }
-        },
-    );
 }

@@ -70,25 +70,20 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
 
     /// Exchanges inputs and outputs apart if they are to travel together, but a slave in use does not support LRW.
     async fn choose_exchange(&mut self) -> Result<(), Failure> {
-        for number in 0..self.slaves.len() {
-            self.allow_for(number).await?;
-        }
-        Ok(())
-    }
-
-    /// Exchanges inputs and outputs apart from now on if a slave in use does not support LRW.
-    pub(super) async fn allow_for(&mut self, number: usize) -> Result<(), Failure> {
-        let slave = self.slaves.get(number).filter(|slave| slave.is_used()).copied();
-        let Some(slave) = slave.filter(|_| self.exchange == ExchangeKind::Combined) else {
+        if self.setup.exchange != ExchangeKind::Combined {
             return Ok(());
-        };
-        let flags = match information::general_flags(&mut self.port, slave.station()).await {
-            // A terminal that cannot be read yet may not support it.
-            Err(_) if slave.is_terminal => sii::FLAG_NO_LRW,
-            flags => flags.map_err(Failure::of(slave.position, Step::Identify))?,
-        };
-        if flags & sii::FLAG_NO_LRW != 0 {
-            self.exchange = ExchangeKind::Split;
+        }
+        let Self { port, slaves, .. } = self;
+        for slave in slaves.iter().filter(|slave| slave.is_used()) {
+            let flags = match information::general_flags(port, slave.station()).await {
+                // A terminal that cannot be read yet may not support it.
+                Err(_) if slave.is_terminal => sii::FLAG_NO_LRW,
+                flags => flags.map_err(Failure::of(slave.position, Step::Identify))?,
+            };
+            if flags & sii::FLAG_NO_LRW != 0 {
+                self.exchange = ExchangeKind::Split;
+                return Ok(());
+            }
         }
         Ok(())
     }
@@ -109,8 +104,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         Ok(())
     }
 
-    /// Fewest slaves of a chain that can be brought up: all up to the last terminal that is named, and the members that are
-    /// not among them; or as many as the setup tells.
+    /// Fewest slaves of a chain that can be brought up: all up to the last terminal that is named, and the members for which
+    /// there is no place among them; more if the setup asks for more.
     pub(super) fn fewest_slaves(&self) -> u16 {
         let members = u16::from(self.setup.members);
         let named = match self.setup.terminals {

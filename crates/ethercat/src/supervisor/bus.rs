@@ -41,7 +41,7 @@ pub(super) struct OpenFile {
     pub(super) passed: usize,
     /// Whether the last packet has come or gone.
     pub(super) ended: bool,
-    /// When the last request for the file was carried out.
+    /// When the last request for the file ended, carried out or not.
     pub(super) used_ms: u32,
 }
 

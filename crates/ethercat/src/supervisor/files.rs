@@ -209,7 +209,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         self.value.clear();
     }
 
-    /// Brings a slave to BOOT, with the mailboxes of this state. One that has none is left as it is.
+    /// Brings a slave to BOOT, with the mailboxes of this state. A slave without such mailboxes keeps its state.
     async fn enter_bootstrap(&mut self, number: usize, fixed: FixedPart) -> Result<(), ServiceError> {
         let station = self.slaves.get(number).ok_or(ServiceError::Interrupted)?.station();
         let (fixed, mailbox) = match self.bootstrap_mailboxes(station, fixed).await {

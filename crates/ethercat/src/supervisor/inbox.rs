@@ -79,7 +79,7 @@ pub(super) enum Work {
     Exclusive,
     /// A request, or a look at the bus. A start and a stop end it.
     Background,
-    /// A packet of a file in BOOT. A start waits for the packet: the slave could not tell how much of it has come.
+    /// Opening a file in BOOT, or a packet of it. A start waits for its end: the slave could not tell how much of it has come.
     Transfer,
 }
 

@@ -3,7 +3,8 @@
 //! One endless `async` function is polled once a millisecond at low priority. It configures the slaves of the chain,
 //! passes the critical side its plan, takes the members to OP while cyclic data are already exchanged, and then watches
 //! for slaves that vanish, return, are plugged in or leave OP. A repair, started by [`BusCommand::Recover`], brings a
-//! slave back while the others continue. In between, the supervisor carries out service requests
+//! slave back while the others continue. A bring-up that failed is repeated by itself once the chain has changed, or after a
+//! pause if a slave was too slow. In between, the supervisor carries out service requests
 //! ([`diagnostics`](super::diagnostics)), even on a bus that was not brought up. Every failed step is reported with
 //! slave, step and reason.
 //!
@@ -49,12 +50,13 @@ const LOOK_PERIOD_MS: u32 = 20;
 pub const LINK_TIMEOUT_MS: u32 = 5_000;
 /// How often a repair is restarted after another slave has interrupted it.
 const REPAIR_TRIES_MAX: u8 = 3;
-/// How long a chain that has changed after a failed bring-up has to be stable before the next one, ms, and how long a slave
-/// that was too slow is left alone; twice as long before each further one, so that a loose contact does not restart the
-/// drives again and again.
+/// How long a chain that has changed after a failed bring-up has to be stable before the next one, ms.
 const CHANGED_MS: u32 = 100;
-/// How often this time is doubled: half a minute then.
+/// How long a slave that was too slow is left alone before the next bring-up, ms, also by requests that name a slave.
+const SLOW_MS: u32 = 5_000;
+/// How often these times are doubled, so that a loose contact does not restart the drives again and again, and the longest.
 const DOUBLED_MAX: u8 = 8;
+const PAUSE_MAX_MS: u32 = 30_000;
 /// Rescans that may fail one after the other before the chain is taken as it is.
 const RESCANS_FAILED_MAX: u8 = 10;
 
@@ -137,15 +139,17 @@ pub struct Supervisor<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     phase: Phase,
     /// Number of slaves at the last rescan, or at the failed bring-up.
     slaves_sorted: u16,
-    /// When that number changed after the failed bring-up; `None` if it has not.
+    /// When that number changed after the failed bring-up, or that failed because a slave was too slow; `None` otherwise.
     changed_ms: Option<u32>,
-    /// Bring-ups since the last command that began because the chain had changed.
+    /// Whether the failed bring-up ended because a slave was too slow.
+    was_slow: bool,
+    /// Bring-ups since the last command that began without one.
     retries: u8,
     /// Rescans of this number that failed, one after the other.
     rescans_failed: u8,
     inspected_ms: u32,
     looked_ms: u32,
-    look_next: usize,
+    look_next: u8,
     /// Whether the lost link of the running bus was reported.
     port_missed: bool,
 }
@@ -178,6 +182,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             phase: Phase::Stopped,
             slaves_sorted: 0,
             changed_ms: None,
+            was_slow: false,
             retries: 0,
             rescans_failed: 0,
             inspected_ms: 0,
@@ -235,9 +240,10 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         self.inbox.observe(&Expectation::ANYTHING);
         let (there, now_ms) = (self.inbox.slaves(), self.bus.port.now_ms());
         if there != self.slaves_sorted {
-            (self.slaves_sorted, self.changed_ms) = (there, Some(now_ms));
+            (self.slaves_sorted, self.changed_ms, self.was_slow) = (there, Some(now_ms), false);
         }
-        let stable_ms = CHANGED_MS << self.retries.min(DOUBLED_MAX);
+        let pause_ms = if self.was_slow { SLOW_MS } else { CHANGED_MS };
+        let stable_ms = (pause_ms << self.retries.min(DOUBLED_MAX)).min(PAUSE_MAX_MS);
         let is_stable = self
             .changed_ms
             .is_some_and(|changed_ms| now_ms.wrapping_sub(changed_ms) >= stable_ms);
@@ -279,7 +285,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                     _ => self.inbox.slaves(),
                 };
                 // A slave that was too slow may answer the next time, although the chain does not change.
-                self.changed_ms = is_of_time(&failure.error).then_some(self.bus.port.now_ms());
+                self.was_slow = is_too_slow(&failure.error);
+                self.changed_ms = self.was_slow.then_some(self.bus.port.now_ms());
                 self.bus.refuse(failure).await;
             }
             Err(Interruption::Command) => {}
@@ -441,9 +448,9 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
     /// Inspects the states of a few slaves, and error counters, processor watchdog and mailbox of one of them.
     async fn look(&mut self) {
         let slaves = self.bus.slaves.len().max(1);
-        let first = self.look_next % slaves;
+        let first = usize::from(self.look_next) % slaves;
         let last = (first + bus::LOOK_MAX).min(slaves);
-        self.look_next = last;
+        self.look_next = last as u8;
         self.bus.inspect(first..last).await;
         self.bus.check_cables().await;
         self.bus.follow_clock().await;
@@ -552,6 +559,10 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             // A slave that erases its memory may take longer over a packet than a file may lie idle.
             bus.use_file();
         }
+        if request.slave().is_some() && self.was_slow {
+            // Whoever looks for the reason is not interrupted by the next bring-up.
+            self.changed_ms = self.changed_ms.map(|_| bus.port.now_ms());
+        }
         if bus.is_worked_on() {
             bus.work_on(None).await;
         }
@@ -566,8 +577,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
     }
 }
 
-/// Whether a slave has only not answered in time.
-fn is_of_time(error: &BusError) -> bool {
+/// Whether a slave was too slow, and nothing else is known to be wrong.
+fn is_too_slow(error: &BusError) -> bool {
     matches!(
         error,
         BusError::SiiBusy { .. }

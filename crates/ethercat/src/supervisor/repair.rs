@@ -52,13 +52,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 }
                 if !is_known {
                     self.read_again(number).await.map_err(at(Step::Identify))?;
-                    self.allow_for(number).await?;
                 }
             }
-            None => {
-                self.take_back(number, &places).await?;
-                self.allow_for(number).await?;
-            }
+            None => self.take_back(number, &places).await?,
         }
         if let Some(slave) = self.slaves.get_mut(number) {
             // The slave goes through INIT in any case.

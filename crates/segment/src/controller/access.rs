@@ -371,7 +371,7 @@ impl Controller {
         let before = self.sync_managers.get(index);
         let mail = before.and_then(|manager| Some((manager.start(), manager.mail()?.to_vec())));
         self.with_sync_manager(index, |manager| manager.configure(block));
-        if let Some((start, mail)) = mail {
+        if let Some((start, mail)) = mail.filter(|(start, _)| *start >= REGISTER_SPACE) {
             self.store(start, &mail);
         }
     }

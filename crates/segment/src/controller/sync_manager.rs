@@ -288,9 +288,10 @@ impl SyncManager {
         }
     }
 
-    /// The last message of a mailbox, read or not; zeros before the first.
+    /// The last message of a mailbox, read or not.
     pub(crate) fn mail(&self) -> Option<&[u8]> {
-        (self.is_active() && self.is_mailbox()).then_some(self.complete.as_slice())
+        let has_had_mail = self.complete.iter().any(|byte| *byte != 0);
+        (self.is_active() && self.is_mailbox() && has_had_mail).then_some(self.complete.as_slice())
     }
 
     /// The last complete buffer written by the bus; `None` before the first.
