@@ -36,15 +36,29 @@ const HOST: [Step; 4] = [
     ("documentation", &["doc", "--workspace", "--no-deps", "--quiet"]),
     ("build of the tests", &["test", "--workspace", "--no-run"]),
 ];
-/// Tests that run at the same time, because each alone leaves a processor idle for minutes: programs and emulator, and the
-/// rest, whose output is shown when it has ended.
+/// Tests that run at the same time, because each alone leaves a processor idle for minutes. Every name of a test program is in
+/// one of both.
 const PROGRAMS: Step = (
     "tests of programs, on the host and in the emulator",
-    &["test", "--workspace", "--test", "*"],
+    &[
+        "test",
+        "--workspace",
+        "--test",
+        "[!c]*",
+        "--test",
+        "c[!o]*",
+        "--test",
+        "con*",
+    ],
 );
-const LIBRARIES: [Step; 2] = [
+/// The output of these is shown when they have ended.
+const LIBRARIES: [Step; 3] = [
     ("tests of libraries", &["test", "--workspace", "--lib", "--bins"]),
     ("examples of the documentation", &["test", "--workspace", "--doc"]),
+    (
+        "tests of the command line",
+        &["test", "--workspace", "--test", "co[!n]*"],
+    ),
 ];
 /// Steps for the boards, run in parallel. They use separate folders below target/, and the tests wait for the parts
 /// they need.
