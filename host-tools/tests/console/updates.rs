@@ -79,9 +79,12 @@ fn no_press_is_lost_while_the_page_is_updated() {
         let mut press = 0;
         while press < PRESSES {
             let (selector, name) = targets[press as usize % targets.len()];
-            // A page starved by a busy computer has lost control, and its buttons with it.
-            browser.until("etherpen.link.controls || (etherpen.link.send({ type: 'take' }), false)");
-            browser.until(&format!("!document.querySelector({}).disabled", json!(selector)));
+            // A page starved by a busy computer has lost control, and its buttons with it; it may lose it at any time.
+            browser.until(&format!(
+                "(etherpen.link.controls || (etherpen.link.send({{ type: 'take' }}), false)) && \
+                 !document.querySelector({}).disabled",
+                json!(selector)
+            ));
             let place = browser.place(selector);
             let before = browser.value("[without, total]");
             std::thread::sleep(Duration::from_millis(random.bits() % 120));
