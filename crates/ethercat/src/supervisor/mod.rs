@@ -52,10 +52,11 @@ pub const LINK_TIMEOUT_MS: u32 = 5_000;
 const REPAIR_TRIES_MAX: u8 = 3;
 /// How long a chain that has changed after a failed bring-up has to be stable before the next one, ms.
 const CHANGED_MS: u32 = 100;
-/// How long a slave that was too slow is left alone before the next bring-up, ms, also by requests that name a slave.
+/// Pause before the next bring-up after one in which a slave was too slow, ms. Each request that names a slave begins it anew.
 const SLOW_MS: u32 = 5_000;
-/// How often these times are doubled, so that a loose contact does not restart the drives again and again, and the longest.
+/// How often these times are doubled, so that a loose contact does not restart the drives again and again.
 const DOUBLED_MAX: u8 = 8;
+/// The longest of them, ms.
 const PAUSE_MAX_MS: u32 = 30_000;
 /// Rescans that may fail one after the other before the chain is taken as it is.
 const RESCANS_FAILED_MAX: u8 = 10;
