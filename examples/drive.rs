@@ -1,5 +1,6 @@
 //! One CiA 402 drive without a robot: power on, one turn of the motor in each direction, power off. A drive that is
-//! lost meanwhile is recovered and goes on.
+//! lost meanwhile is recovered and goes on. **Set the numbers of your drive in `drive` first**: with others the motor turns at
+//! another speed.
 //!
 //! Emulated board: `cargo build --release -p etherpen --target thumbv7em-none-eabihf --no-default-features --features
 //! emulated --example drive`. Linux: `cargo run --example drive -- eth1`.
@@ -27,7 +28,7 @@ const LIMITS: AxisLimits = AxisLimits {
     velocity_rad_s: 10.0,
     torque_nm: 0.0,
 };
-/// Speed of the turns, rad/s, and their length, ms.
+// Speed of the turns, rad/s, and their length, ms.
 const SPEED_RAD_S: f64 = core::f64::consts::TAU;
 const TURN_MS: u32 = 1_000;
 
@@ -37,7 +38,10 @@ fn run(platform: &mut Platform) {
     let mut group = EtherCatGroup::new(Exchange::new(exchange, ADDRESS));
     let mut supervisor = Supervisor::new(supervisor);
     let mut supervision = pin!(supervisor.run());
+    // Of the virtual drive. Digits of the target velocity (60FFh).
     let drive = DriveSettings {
+        increments_per_revolution: 1 << 20,
+        digits_per_rpm: 262_144.0 / 1_875.0,
         gear: 1.0,
         ..DriveSettings::default()
     };
@@ -50,8 +54,7 @@ fn run(platform: &mut Platform) {
     };
     // The queue is empty: there is room.
     let _ = application.commands.enqueue(BusCommand::Start(setup));
-    let mut axis = ServoAxis::new();
-    let mut on_ms = 0;
+    let (mut axis, mut on_ms, mut ends) = (ServoAxis::new(), 0, false);
     loop {
         platform.tick();
         platform.send(group.trigger_input());
@@ -67,16 +70,21 @@ fn run(platform: &mut Platform) {
             0 => (DriveTarget::Enabled, SPEED_RAD_S),
             1 => (DriveTarget::Enabled, -SPEED_RAD_S),
             2 => (DriveTarget::Enabled, 0.0),
-            _ if axis.state() == DriveState::OperationEnabled => (DriveTarget::Off, 0.0),
-            _ => return,
+            _ => (DriveTarget::Off, 0.0),
         };
+        if target == DriveTarget::Off && axis.state() != DriveState::OperationEnabled && !ends {
+            // Out of OP first: the drive's watchdog is no fault then.
+            ends = application.commands.enqueue(BusCommand::Stop).is_ok();
+        }
         group.write(0, &axis.set_velocity(target, speed_rad_s));
         // The supervisor counts its polls as milliseconds.
         let _ = supervision.as_mut().poll(&mut Context::from_waker(Waker::noop()));
         while let Some(event) = application.events.dequeue() {
+            use BusEvent::{Operational, Refused, Returned, SlaveLeft, SlaveLost, Stopped};
             match event {
-                BusEvent::Operational => platform.say(format_args!("operational")),
-                BusEvent::SlaveLost { .. } | BusEvent::SlaveLeft { .. } | BusEvent::Refused { .. } => {
+                Operational => platform.say(format_args!("operational")),
+                Stopped => return,
+                SlaveLost { .. } | SlaveLeft { .. } | Returned { .. } | Refused { .. } if !ends => {
                     platform.say(format_args!("{event:?}, once more"));
                     let _ = application.commands.enqueue(BusCommand::Recover);
                 }

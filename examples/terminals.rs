@@ -61,7 +61,10 @@ fn run(platform: &mut Platform) {
         while let Some(event) = application.events.dequeue() {
             match event {
                 BusEvent::Operational => platform.say(format_args!("operational")),
-                BusEvent::SlaveLost { .. } | BusEvent::SlaveLeft { .. } | BusEvent::Refused { .. } => {
+                BusEvent::SlaveLost { .. }
+                | BusEvent::SlaveLeft { .. }
+                | BusEvent::Returned { .. }
+                | BusEvent::Refused { .. } => {
                     platform.say(format_args!("{event:?}, once more"));
                     let _ = application.commands.enqueue(BusCommand::Recover);
                 }

@@ -413,8 +413,8 @@ pub fn build_firmware(board: &str) -> Result<PathBuf, SetupError> {
     build(board, &Program::Firmware(board), &target_dir())
 }
 
-/// Builds a board's firmware with additional features, in a separate folder so that the board's image is kept; without
-/// additional features, builds the board's image itself.
+/// Builds a board's firmware with additional features, into a separate folder so that the board's image is kept; without
+/// additional features, builds the board's image itself. What both have in common is compiled once.
 ///
 /// # Errors
 /// As for [`build_firmware`].
@@ -461,6 +461,7 @@ fn build(features: &str, program: &Program<'_>, target_dir: &Path) -> Result<Pat
     ensure_target()?;
     let mut command = cargo();
     command.arg("build").arg("--target-dir").arg(target_dir);
+    command.env("CARGO_BUILD_BUILD_DIR", self::target_dir());
     command.args([
         "--release",
         "-p",

@@ -30,6 +30,7 @@ pub fn bus_condition(event: &BusEvent) -> Option<BusCondition> {
         BusEvent::TerminalRefused { position, step, error } => refusal(Some(position), step, error),
         BusEvent::Found { .. }
         | BusEvent::Slave { .. }
+        | BusEvent::Returned { .. }
         | BusEvent::Repaired { .. }
         | BusEvent::Waiting { .. }
         | BusEvent::Stopped

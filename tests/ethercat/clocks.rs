@@ -58,6 +58,12 @@ again! {
         requests_while_the_bus_is_brought_up_are_answered_by_busy,
         error_counters_name_the_slaves_at_both_ends_of_a_cable,
         a_slave_without_a_driver_gets_the_sync_managers_that_it_describes_and_goes_to_op;
+    disturbances [crate::disturbances]
+        an_unused_slave_with_an_error_keeps_no_drive_from_operation,
+        a_terminal_that_falls_during_the_bring_up_is_named_alone_and_comes_back,
+        a_drive_that_leaves_its_state_during_the_bring_up_is_named_and_the_next_try_comes_unasked,
+        the_drives_exchange_data_soon_after_safeop_and_operate_before_a_terminal_is_configured,
+        a_terminal_that_lost_its_power_is_told_when_it_is_back;
     files [crate::files]
         an_acknowledgement_leaves_a_drive_in_boot_and_repairs_it_after_the_transfer,
         another_drive_is_repaired_while_one_is_in_boot,

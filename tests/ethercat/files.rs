@@ -8,7 +8,7 @@ use etherpen::ethercat::state::AlState as Asked;
 use etherpen::ethercat::supervisor::{BusCommand, BusEvent};
 use etherpen::robots::AXES;
 use etherpen_segment::FileFault;
-use host_tools::cell::{AlState, CellOptions, Fault, SlaveKind};
+use host_tools::cell::{AlState, CellOptions, Fault, SlaveList};
 
 /// The slave whose file is transferred, from 0.
 const SLAVE: u8 = 1;
@@ -19,10 +19,13 @@ const REFUSED: BusEvent = BusEvent::Refused {
     error: BusError::FileOpen,
 };
 
-/// Four drives with files, on a bus without a command.
+/// Four drives with files that read their own memory on the way to PREOP and BOOT, on a bus without a command.
 fn drives() -> Rig<'static> {
+    let list: SlaveList = "cia402@sii=needed*4".parse().expect("a list");
+    assert_eq!(list.slaves.len(), AXES);
     idle_rig_of(CellOptions {
-        slaves: vec![SlaveKind::Cia402; AXES],
+        slaves: list.slaves,
+        places: list.places,
         ..CellOptions::default()
     })
 }

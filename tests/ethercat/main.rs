@@ -8,6 +8,7 @@ mod bring_up;
 mod clocks;
 mod device_images;
 mod diagnosis;
+mod disturbances;
 mod files;
 mod frame_faults;
 mod homing;

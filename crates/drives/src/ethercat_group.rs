@@ -23,22 +23,24 @@ struct Place {
 }
 
 /// The drives of a bus, over the cyclic exchange with it.
-pub struct EtherCatGroup<'a, const MEMBERS: usize, const SLAVES: usize, const MESSAGE: usize>
+/// `FURTHER` as that of the exchange: frames behind the first one.
+pub struct EtherCatGroup<'a, const MEMBERS: usize, const SLAVES: usize, const MESSAGE: usize, const FURTHER: usize = 0>
 where
     [DriveSettings; MEMBERS]: Default,
 {
-    exchange: Exchange<'a, ServoDrives<MEMBERS>, SLAVES, MESSAGE>,
+    exchange: Exchange<'a, ServoDrives<MEMBERS>, SLAVES, MESSAGE, FURTHER>,
     places: [Option<Place>; MEMBERS],
     /// Number of the plan to which the places belong.
     plan: Option<u32>,
 }
 
-impl<'a, const MEMBERS: usize, const SLAVES: usize, const MESSAGE: usize> EtherCatGroup<'a, MEMBERS, SLAVES, MESSAGE>
+impl<'a, const MEMBERS: usize, const SLAVES: usize, const MESSAGE: usize, const FURTHER: usize>
+    EtherCatGroup<'a, MEMBERS, SLAVES, MESSAGE, FURTHER>
 where
     [DriveSettings; MEMBERS]: Default,
 {
     /// The drives that `exchange` reaches.
-    pub fn new(exchange: Exchange<'a, ServoDrives<MEMBERS>, SLAVES, MESSAGE>) -> Self {
+    pub fn new(exchange: Exchange<'a, ServoDrives<MEMBERS>, SLAVES, MESSAGE, FURTHER>) -> Self {
         Self {
             exchange,
             places: [None; MEMBERS],
@@ -47,12 +49,12 @@ where
     }
 
     /// The exchange with the bus.
-    pub fn exchange(&self) -> &Exchange<'a, ServoDrives<MEMBERS>, SLAVES, MESSAGE> {
+    pub fn exchange(&self) -> &Exchange<'a, ServoDrives<MEMBERS>, SLAVES, MESSAGE, FURTHER> {
         &self.exchange
     }
 
     /// The exchange with the bus, to set values of terminals.
-    pub fn exchange_mut(&mut self) -> &mut Exchange<'a, ServoDrives<MEMBERS>, SLAVES, MESSAGE> {
+    pub fn exchange_mut(&mut self) -> &mut Exchange<'a, ServoDrives<MEMBERS>, SLAVES, MESSAGE, FURTHER> {
         &mut self.exchange
     }
 
@@ -85,8 +87,8 @@ where
     }
 }
 
-impl<const MEMBERS: usize, const SLAVES: usize, const MESSAGE: usize> IoGroup
-    for EtherCatGroup<'_, MEMBERS, SLAVES, MESSAGE>
+impl<const MEMBERS: usize, const SLAVES: usize, const MESSAGE: usize, const FURTHER: usize> IoGroup
+    for EtherCatGroup<'_, MEMBERS, SLAVES, MESSAGE, FURTHER>
 where
     [DriveSettings; MEMBERS]: Default,
 {
@@ -174,8 +176,8 @@ where
     }
 }
 
-impl<const MEMBERS: usize, const SLAVES: usize, const MESSAGE: usize> IoTrigger
-    for EtherCatGroup<'_, MEMBERS, SLAVES, MESSAGE>
+impl<const MEMBERS: usize, const SLAVES: usize, const MESSAGE: usize, const FURTHER: usize> IoTrigger
+    for EtherCatGroup<'_, MEMBERS, SLAVES, MESSAGE, FURTHER>
 where
     [DriveSettings; MEMBERS]: Default,
 {

@@ -1,8 +1,8 @@
 //! Driver selection: from a slave's identity to its drive type.
 //!
 //! A slave with an unknown product is asked for its device type, if it supports CoE; a servo drive of CiA 402 is used
-//! as the generic type. All other slaves get no driver: they are reported with their identity, carry no process data
-//! and affect nothing else. A new drive type is a line in [`DRIVES`].
+//! as the generic type. All other slaves get no driver: they are reported with their identity, and
+//! exchange process data only as terminals ([`BusSetup::terminals`](etherpen_ethercat::event::BusSetup::terminals)). A new drive type is a line in [`DRIVES`].
 //!
 //! Invariant: only vendor and product, or the device type, decide on the type; revision, serial number, alias and switches
 //! decide whether a drive may be used as the axis that expects them ([`DriveSettings::identity`]).
@@ -66,6 +66,7 @@ where
         DeviceDescription {
             name: device.name,
             assign_activate: device.clocks.assign_activate,
+            sync1_ns: device.clocks.sync1_ns,
             status: Some(STATUS_WORD),
         }
     }

@@ -217,12 +217,15 @@ pub enum Recognition {
 pub struct Clocks {
     /// AssignActivate: the value of registers 0x0980 (low byte) and 0x0981 (high byte).
     pub assign_activate: u16,
+    /// Time from SYNC0 to SYNC1, ns, if AssignActivate turns SYNC1 on.
+    pub sync1_ns: u32,
 }
 
 impl Clocks {
     /// Cyclic operation with SYNC0.
     pub const SYNC0: Self = Self {
         assign_activate: 0x0300,
+        sync1_ns: 0,
     };
 
     /// Whether the drive needs SYNC0.
@@ -389,7 +392,10 @@ mod tests {
     #[test]
     fn assign_activate_tells_which_sync_signals_are_used() {
         assert!(Clocks::SYNC0.uses_sync0() && !Clocks::SYNC0.uses_sync1());
-        let free_run = Clocks { assign_activate: 0 };
+        let free_run = Clocks {
+            assign_activate: 0,
+            ..Clocks::SYNC0
+        };
         assert!(!free_run.uses_sync0());
     }
 }

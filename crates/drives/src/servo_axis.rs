@@ -35,7 +35,7 @@ struct Scale {
 }
 
 impl Scale {
-    fn new(settings: &DriveSettings, limits: &AxisLimits, drive: &GroupDrive) -> Option<Self> {
+    fn new(settings: &DriveSettings, limits: &AxisLimits, drive: &GroupDrive, cycle_s: f64) -> Option<Self> {
         let at_motor = drive.kind.mode(drive.mode)?.digits.per_unit(settings);
         let (digits_per_unit, limit) = match drive.mode {
             AxisMode::Velocity | AxisMode::Position => (at_motor * settings.gear, limits.velocity_rad_s.abs()),
@@ -47,7 +47,7 @@ impl Scale {
             mode: drive.mode,
             digits_per_unit,
             limit,
-            step_max: ((limits.velocity_rad_s.abs() * increments_per_rad * CYCLE_S) as i32)
+            step_max: ((limits.velocity_rad_s.abs() * increments_per_rad * cycle_s) as i32)
                 .min(drive.range.step_max())
                 .max(1),
             range: drive.range,
@@ -55,8 +55,8 @@ impl Scale {
     }
 }
 
-/// Length of a cycle, s.
-const CYCLE_S: f64 = 1.0e-3;
+/// Length of a cycle unless another one is given, ns.
+const CYCLE_NS: u32 = 1_000_000;
 /// Cycles in which a drive with power may show another mode; it gets no demand meanwhile.
 const MODE_CYCLES_MAX: u8 = 10;
 
@@ -64,6 +64,7 @@ const MODE_CYCLES_MAX: u8 = 10;
 #[derive(Clone, Copy, Debug)]
 pub struct ServoAxis {
     scale: Option<Scale>,
+    cycle_ns: u32,
     operational: bool,
     position: i32,
     state: DriveState,
@@ -82,9 +83,16 @@ impl Default for ServoAxis {
 }
 
 impl ServoAxis {
-    /// An axis without a drive.
+    /// An axis without a drive, with a demand each millisecond.
     pub const fn new() -> Self {
+        Self::with_cycle(CYCLE_NS)
+    }
+
+    /// An axis without a drive, with a demand each `cycle_ns`: the length of the bus's cycle, which limits how far a target
+    /// position may go in one.
+    pub const fn with_cycle(cycle_ns: u32) -> Self {
         Self {
+            cycle_ns,
             scale: None,
             operational: false,
             position: 0,
@@ -107,7 +115,7 @@ impl ServoAxis {
             _ => false,
         };
         if !same {
-            self.scale = drive.and_then(|drive| Scale::new(settings, limits, drive));
+            self.scale = drive.and_then(|drive| Scale::new(settings, limits, drive, f64::from(self.cycle_ns) * 1.0e-9));
         }
         !same
     }

@@ -86,6 +86,8 @@ pub struct DeviceDescription {
     /// AssignActivate, the use of the distributed clocks: the value of registers 0x0980 (low byte) and 0x0981 (high
     /// byte); 0 for none.
     pub assign_activate: u16,
+    /// Time from SYNC0 to SYNC1, ns, for a device whose AssignActivate turns SYNC1 on.
+    pub sync1_ns: u32,
     /// Object with a status word of 16 bits that a diagnosis shows.
     pub status: Option<Object>,
 }

@@ -225,6 +225,12 @@ pub enum BusEvent {
         /// AL state, error flag and code.
         report: AlReport,
     },
+    /// A slave in use that was lost is in the chain again, in INIT without its address, and waits for
+    /// [`BusCommand::Recover`]. Told again when the chain changes meanwhile.
+    Returned {
+        /// Place in the chain, from 0.
+        position: u8,
+    },
     /// A slave is back in OP.
     Repaired {
         /// Place in the chain, from 0.

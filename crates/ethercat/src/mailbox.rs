@@ -147,7 +147,7 @@ impl Mailbox {
     /// Sends a request and returns the service data of its answer; see [`Self::send`] and [`Self::receive`].
     ///
     /// # Errors
-    /// Errors of [`Self::send`] and [`Self::receive`].
+    /// [`BusError::MailboxLength`] for a slave without a mailbox; errors of [`Self::send`] and [`Self::receive`].
     pub async fn exchange<const MESSAGE: usize>(
         &mut self,
         port: &mut AcyclicPort<'_, MESSAGE>,
@@ -156,6 +156,11 @@ impl Mailbox {
         emit: impl Fn(&mut [u8]),
         accept: impl Fn(&[u8]) -> bool,
     ) -> Result<Bytes<MESSAGE>, BusError> {
+        if self.out.length == 0 {
+            // A slave without a mailbox.
+            let (expected, actual) = (MESSAGE as u16, 0);
+            return Err(BusError::MailboxLength { expected, actual });
+        }
         if !self.settled {
             self.drain(port).await?;
         }

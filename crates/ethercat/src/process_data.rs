@@ -72,7 +72,8 @@ pub async fn set_up<F: SlaveFactory, const MESSAGE: usize>(
         start,
         length,
         control,
-        activate: register::SYNC_MANAGER_ENABLE,
+        // Slaves refuse SAFEOP for one that is enabled and has no bytes.
+        activate: if length > 0 { register::SYNC_MANAGER_ENABLE } else { 0 },
         ..SyncManagerRepr::default()
     };
     let managers = [

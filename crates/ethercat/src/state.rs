@@ -123,6 +123,15 @@ impl AlReport {
         AlState::from_status(self.status as u16)
     }
 
+    /// The error that a slave shows this report and is not in the state that it should have.
+    pub(crate) const fn instead_of(self, expected: AlState) -> BusError {
+        BusError::State {
+            expected: expected as u8,
+            actual: self.status,
+            code: self.code,
+        }
+    }
+
     /// Whether the slave is in `state` without an error flag.
     pub fn is(&self, state: AlState) -> bool {
         self.status == state as u8

@@ -231,6 +231,7 @@ impl Application {
             (_, Bootstrap, None) => self.refuse(code::NO_BOOTSTRAP),
             (Bootstrap, Bootstrap, _) => {}
             (Init, Bootstrap, Some(false)) => self.refuse(code::BOOTSTRAP_MAILBOX),
+            (Init, Bootstrap, Some(true)) if !ready.information => self.refuse(code::INFORMATION),
             (Init, Bootstrap, Some(true)) | (Bootstrap, Init, _) => self.state = target,
             _ => self.refuse(code::INVALID_CHANGE),
         }

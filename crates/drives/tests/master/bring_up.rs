@@ -45,8 +45,9 @@ fn four_drives_reach_op_with_every_setting_written() {
                 assert_eq!(bench.exchange.member(axis), Some(axis));
                 assert!(bench.exchange.input(axis).is_some());
             }
-            std::println!("bring-up of 4 drives: {} frames, {now_ms} ms", bench.frames);
-            assert!(bench.frames <= 400 && now_ms < 3_000);
+            let frames = bench.first_frames;
+            std::println!("bring-up of 4 drives: {frames} frames with requests, {now_ms} ms");
+            assert!(frames <= 400 && now_ms < 3_000);
             assert_eq!(bench.exchange.counters().working_counter_errors, 0);
             assert_eq!(bench.exchange.counters().frames_ignored(), 0);
             Next::Done
@@ -343,6 +344,7 @@ fn with_dictionary<T>(
         exchange: Exchange::new(exchange_end, MAC),
         losses,
         frames: 0,
+        first_frames: 0,
     };
     let window = |start| MailboxWindow { start, length: 512 };
     let mut mailbox = Mailbox::new::<MESSAGE>(STATION_BASE, window(0x1800), window(0x1C00)).unwrap();

@@ -32,7 +32,7 @@ pub(crate) struct FakeSlave {
     pub(crate) sticky_error: bool,
     /// Whether it has no processor: it copies AL control to AL status.
     pub(crate) emulated: bool,
-    /// Frames until its processor has started up and reads AL control.
+    /// Milliseconds until its processor has started up and reads AL control.
     pub(crate) boots: u32,
     /// Its alias.
     pub(crate) alias: u16,
@@ -390,13 +390,17 @@ impl FakeSegment {
     }
 
     /// Sends a frame through the connected slaves, in place.
-    pub(crate) fn process(&mut self, frame: &mut [u8]) {
+    /// Lets a millisecond pass.
+    pub(crate) fn millisecond(&mut self) {
         for slave in &mut self.slaves {
             slave.boots = slave.boots.saturating_sub(1);
             if let Some(control) = slave.unread.take_if(|_| slave.boots == 0) {
                 slave.change_state(control);
             }
         }
+    }
+
+    pub(crate) fn process(&mut self, frame: &mut [u8]) {
         let payload = FrameView::new_checked(frame).unwrap().payload().to_vec();
         let mut chain = Datagrams::new(&payload);
         while let Some(range) = chain.next_range() {

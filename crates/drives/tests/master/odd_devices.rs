@@ -67,7 +67,6 @@ fn slaves_with_device_emulation_keep_no_echo_and_stop_nobody() {
 #[test]
 fn a_drive_whose_processor_starts_up_is_waited_for_and_named() {
     let mut segment = FakeSegment::drives(4);
-    // One frame a millisecond.
     segment.slaves[2].boots = 10_000;
     let (log, states, last_ms) = brought_up(segment);
     assert_eq!(states, [8; 4]);

@@ -32,6 +32,8 @@ pub(crate) struct Bench<'a> {
     pub(crate) exchange: Exchange<'a, Drives, SLAVES, MESSAGE>,
     pub(crate) losses: Losses,
     pub(crate) frames: u32,
+    /// Of them, those that may carry requests.
+    pub(crate) first_frames: u32,
 }
 
 impl Bench<'_> {
@@ -53,7 +55,9 @@ impl Bench<'_> {
     }
 
     pub(crate) fn millisecond(&mut self) {
+        self.segment.millisecond();
         let frame = self.exchange.input_telegram().to_vec();
+        self.first_frames += u32::from(!frame.is_empty());
         self.transfer(frame);
         let frame = self.exchange.output_telegram().to_vec();
         self.transfer(frame);
@@ -79,6 +83,7 @@ pub(crate) fn run_with(
         exchange: Exchange::new(exchange_end, MAC),
         losses,
         frames: 0,
+        first_frames: 0,
     };
     let mut supervisor = Supervisor::new(supervisor_end);
     let mut future = pin!(supervisor.run());

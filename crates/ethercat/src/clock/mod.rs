@@ -599,11 +599,19 @@ pub async fn follow<const SLAVES: usize, const MESSAGE: usize>(
     }
 }
 
-/// Starts SYNC0 of the slave at `position`, in PREOP: the period of the exchange, `shift_ns` after the frames pass the
-/// reference. Slave and reference are read in one frame, so that the start is right for clocks of either width.
-///
-/// `assign_activate` is the word of the drive's description: low byte for register 0x0980, high byte for 0x0981;
-/// `answers` returns false for slaves that are lost. Returns the start time in the slave's own system time.
+/// What a slave's sync signals are to be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct SyncSignals {
+    /// The word of the device's description: low byte for register 0x0980, high byte for 0x0981.
+    pub assign_activate: u16,
+    /// Time from SYNC0 to SYNC1, ns.
+    pub sync1_ns: u32,
+    /// Time from the frames' pass of the reference to SYNC0, ns.
+    pub shift_ns: u32,
+}
+
+/// Starts SYNC0 of the slave at `position` with the period of the exchange, and SYNC1 if its signals say so, in PREOP. Slave
+/// and reference are read in one frame, so that the start is right for clocks of either width. `answers` returns false for slaves that are lost. Returns the start time in the slave's own system time.
 ///
 /// # Errors
 /// As [`AcyclicPort::send_all_until_counted`].
@@ -612,8 +620,7 @@ pub async fn start_sync<const SLAVES: usize, const MESSAGE: usize>(
     stations: &[u16],
     position: usize,
     clocks: &mut BusClocks<SLAVES>,
-    assign_activate: u16,
-    shift_ns: u32,
+    signals: SyncSignals,
     answers: impl Fn(usize) -> bool,
 ) -> Result<u64, BusError> {
     let station = stations.get(position).copied().unwrap_or(0);
@@ -623,7 +630,9 @@ pub async fn start_sync<const SLAVES: usize, const MESSAGE: usize>(
         .and_then(|source| stations.get(source).copied())
         .unwrap_or(station);
     stop_sync(port, station).await?;
-    port.write(station, register::DC_SYNC0_CYCLE, &clocks.period_ns.to_le_bytes())
+    // The time to SYNC1 lies behind the period; another master may have left one.
+    let times = u64::from(signals.sync1_ns) << 32 | u64::from(clocks.period_ns);
+    port.write(station, register::DC_SYNC0_CYCLE, &times.to_le_bytes())
         .await?;
     let requests = [reference, station].map(|station| {
         let address = Address::station(station, register::DC_SYSTEM_TIME);
@@ -638,12 +647,16 @@ pub async fn start_sync<const SLAVES: usize, const MESSAGE: usize>(
     .await?;
     let [reference_ns, local_ns] = times_ns;
     let now_ns = clocks.extended_ns(reference_ns, port.now_ms());
-    let ahead_ns = clocks.start_time_ns(now_ns, shift_ns).wrapping_sub(now_ns);
+    let ahead_ns = clocks.start_time_ns(now_ns, signals.shift_ns).wrapping_sub(now_ns);
     let start_ns = local_ns.wrapping_sub(delay_ns.into()).wrapping_add(ahead_ns);
     port.write(station, register::DC_START_TIME, &start_ns.to_le_bytes())
         .await?;
-    port.write(station, register::DC_CYCLIC_CONTROL, &assign_activate.to_le_bytes())
-        .await?;
+    port.write(
+        station,
+        register::DC_CYCLIC_CONTROL,
+        &signals.assign_activate.to_le_bytes(),
+    )
+    .await?;
     Ok(start_ns)
 }
 

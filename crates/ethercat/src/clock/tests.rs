@@ -508,7 +508,7 @@ fn sync_starts_at_its_shift_behind_the_frames_after_an_hour_with_clocks_of_any_w
                     port.wait_ms(999).await;
                     follow(&mut port, &STATIONS, &mut clocks, |_| true).await;
                 }
-                start_sync(&mut port, &STATIONS, slave, &mut clocks, 0x0300, 250_000, |_| true).await
+                start_sync(&mut port, &STATIONS, slave, &mut clocks, sync0(250_000), |_| true).await
             })
             .expect("the activation");
         // The true time of the first pulse: within 2 s of now, in the slave's own time.
@@ -519,16 +519,48 @@ fn sync_starts_at_its_shift_behind_the_frames_after_an_hour_with_clocks_of_any_w
     }
 }
 
+/// SYNC0 alone, this time after the frames.
+fn sync0(shift_ns: u32) -> SyncSignals {
+    SyncSignals {
+        assign_activate: 0x0300,
+        sync1_ns: 0,
+        shift_ns,
+    }
+}
+
+#[test]
+fn sync1_is_as_far_behind_sync0_as_the_device_wants_it() {
+    let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 7, 0)]);
+    let mut clocks = chain.set_up();
+    let signals = SyncSignals {
+        assign_activate: 0x0700,
+        sync1_ns: 125_000,
+        shift_ns: 0,
+    };
+    let run = chain.run(async |mut port: AcyclicPort<'static, 64>| {
+        start_sync(&mut port, &STATIONS, 2, &mut clocks, signals, |_| true).await
+    });
+    run.expect("the activation");
+    let time = |register: u16| read_u32(&chain.slaves[2].memory, usize::from(register));
+    assert_eq!(
+        (time(register::DC_SYNC0_CYCLE), time(register::DC_SYNC1_CYCLE)),
+        (PERIOD_NS, 125_000)
+    );
+    assert_eq!(read_u16(&chain, 2, register::DC_CYCLIC_CONTROL), 0x0700);
+}
+
 #[test]
 fn sync_starts_ahead_in_time_at_its_shift_behind_the_phase_of_the_frames() {
     let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 7, 0)]);
     let mut clocks = chain.set_up();
     for (shift_ns, station) in [(0, STATIONS[1]), (250_000, STATIONS[2]), (999_999, STATIONS[3])] {
         chain.log.clear();
+        // What another master may have left.
+        let slave = usize::from(station - STATIONS[0]);
+        chain.slaves[slave].put(register::DC_SYNC1_CYCLE, &[0xA5; 4]);
         let start_ns = chain
             .run(async |mut port: AcyclicPort<'static, 64>| {
-                let slave = usize::from(station - STATIONS[0]);
-                start_sync(&mut port, &STATIONS, slave, &mut clocks, 0x0300, shift_ns, |_| true).await
+                start_sync(&mut port, &STATIONS, slave, &mut clocks, sync0(shift_ns), |_| true).await
             })
             .expect("the activation");
         assert_eq!(chain.log, "Fpwr:0980 Fpwr:09a0 Fprd:0910 Fprd:0910 Fpwr:0990 Fpwr:0980");
@@ -538,11 +570,11 @@ fn sync_starts_ahead_in_time_at_its_shift_behind_the_phase_of_the_frames() {
         assert!((START_AHEAD_NS - 3_000_000..=START_AHEAD_NS + 1_000_000).contains(&ahead_ns));
         let behind_ns = (start_ns + u64::from(PERIOD_NS) - u64::from(clocks.phase_ns)) % u64::from(PERIOD_NS);
         assert_eq!(behind_ns, u64::from(shift_ns));
-        let slave = usize::from(station - STATIONS[0]);
         assert_eq!(read_u16(&chain, slave, register::DC_CYCLIC_CONTROL), 0x0300);
+        let time = |register: u16| read_u32(&chain.slaves[slave].memory, usize::from(register));
         assert_eq!(
-            read_u32(&chain.slaves[slave].memory, usize::from(register::DC_SYNC0_CYCLE)),
-            PERIOD_NS
+            (time(register::DC_SYNC0_CYCLE), time(register::DC_SYNC1_CYCLE)),
+            (PERIOD_NS, 0)
         );
     }
 }

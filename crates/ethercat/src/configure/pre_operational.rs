@@ -26,8 +26,8 @@ const ASSIGNMENT_OUTPUTS: u16 = 0x1C12;
 const ASSIGNMENT_INPUTS: u16 = 0x1C13;
 /// Most process data objects of one direction.
 const PDOS_MAX: usize = 8;
-/// Most entries of one process data object.
-pub(super) const ENTRIES_MAX: u8 = 32;
+/// Most entries of one process data object: the last sub-index of a list.
+pub(super) const ENTRIES_MAX: u8 = 254;
 /// Most read-backs of a setting until the device shows the value; one read-back takes some milliseconds.
 const VERIFY_TRIES_MAX: u8 = 10;
 /// Lowest address of process memory.

@@ -2,10 +2,11 @@
 //!
 //! Each function is one guarded step. Bring-up and repair share these steps.
 //!
-//! Invariant: only members and terminals leave INIT here; a slave goes up one state at a time.
+//! Invariant: beside members and terminals, only slaves that have to be asked for their device type leave INIT here; a slave
+//! goes up one state at a time.
 
 use super::super::acyclic::Request;
-use super::super::clock::{self, BusClocks};
+use super::super::clock::{self, BusClocks, SyncSignals};
 use super::super::configure::discovery::STATION_BASE;
 use super::super::configure::own_data::{self, OwnData};
 use super::super::configure::{PreOperational, discovery, information};
@@ -74,6 +75,13 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return Ok(());
         }
         let Self { port, slaves, .. } = self;
+        // Some controllers say it in their features, where any slave's bit is seen: an unused one's does no harm.
+        let features = port.broadcast_read_u16(register::FEATURES).await;
+        let (features, _) = features.map_err(Failure::bus(Step::Identify))?;
+        if features & register::FEATURE_NO_LRW != 0 {
+            self.exchange = ExchangeKind::Split;
+            return Ok(());
+        }
         for slave in slaves.iter().filter(|slave| slave.is_used()) {
             let flags = match information::general_flags(port, slave.station()).await {
                 // A terminal that cannot be read yet may not support it.
@@ -304,7 +312,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let at = |step| Failure::of(slave.position, step);
         slave.report = AlReport::default();
         discovery::clear(port, station).await.map_err(at(Step::Init))?;
-        if slave.fixed.mailbox_out.length > 0 || slave.member.is_some() {
+        if slave.fixed.mailbox_out.length > 0 {
             let (out, input) = (slave.fixed.mailbox_out, slave.fixed.mailbox_in);
             slave.mailbox = Mailbox::new::<MESSAGE>(station, out, input).map_err(at(Step::Mailbox))?;
             discovery::mailbox_managers(port, station, &slave.fixed)
@@ -359,13 +367,18 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             .await
             .map_err(at(Step::ProcessData))?;
         let device = slave.device.filter(|_| !slave.is_terminal);
-        let activate = device.map_or(0, |device| F::describe(device).assign_activate);
-        if activate != 0 && self.clocks.has_clock(usize::from(position)) {
-            let (stations, shift_ns) = (self.stations(), u32::from(self.setup.sync_shift_us) * 1_000);
+        let device = device.map(F::describe).unwrap_or_default();
+        if device.assign_activate != 0 && self.clocks.has_clock(usize::from(position)) {
+            let stations = self.stations();
+            let signals = SyncSignals {
+                assign_activate: device.assign_activate,
+                sync1_ns: device.sync1_ns,
+                shift_ns: u32::from(self.setup.sync_shift_us) * 1_000,
+            };
             let there = self.answering();
             let answers = |place: usize| there.get(place).is_some_and(|there| *there);
             let Self { port, clocks, .. } = self;
-            clock::start_sync(port, &stations, position.into(), clocks, activate, shift_ns, answers)
+            clock::start_sync(port, &stations, position.into(), clocks, signals, answers)
                 .await
                 .map_err(at(Step::Clocks))?;
         }

@@ -8,7 +8,7 @@ use super::super::clock::{self, BusClocks};
 use super::super::cyclic::{CyclicPlan, CyclicSlave, ExchangeKind, PlanError, ReferenceClock, VALUES_MAX, ValueBit};
 use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
-use super::super::event::{BusEvent, BusSetup};
+use super::super::event::{BusEvent, BusSetup, Step};
 use super::super::process_data;
 use super::super::slave::{Condition, Slave};
 use super::super::slave_set::SlaveSet;
@@ -139,14 +139,35 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         self.emit(BusEvent::TerminalRefused { position, step, error }).await;
     }
 
-    /// The slaves in the order in which they are brought up: the members do not wait for the terminals.
-    pub(super) fn order(&self) -> Vec<u8, SLAVES> {
+    /// The slaves in the order in which they are brought up, and how many of them come before the terminals.
+    pub(super) fn order(&self) -> (Vec<u8, SLAVES>, usize) {
         let numbers = |terminals: bool| {
             (0..)
                 .zip(&self.slaves)
                 .filter(move |(_, slave)| slave.is_terminal == terminals)
         };
-        numbers(false).chain(numbers(true)).map(|(number, _)| number).collect()
+        let order = numbers(false).chain(numbers(true)).map(|(number, _)| number);
+        (order.collect(), numbers(false).count())
+    }
+
+    /// The first member that has left its state or is lost, with its place in the chain and its last report.
+    pub(super) fn disturbed_member(&self) -> Option<(u16, AlReport)> {
+        let has_left = |slave: &&Slave<F>| {
+            let is_away = matches!(slave.condition, Condition::Lost | Condition::LeftOperational);
+            slave.member.is_some() && is_away
+        };
+        self.slaves
+            .iter()
+            .find(has_left)
+            .map(|slave| (slave.position, slave.report))
+    }
+
+    /// The terminal with this number and why it is refused, if it has left its state.
+    pub(super) fn left_terminal(&self, number: usize) -> Option<(usize, Failure)> {
+        let slave = self.slaves.get(number)?;
+        let has_left = slave.is_terminal && slave.condition == Condition::LeftOperational;
+        let error = slave.report.instead_of(AlState::Operational);
+        has_left.then(|| (number, Failure::of(slave.position, Step::Watch)(error)))
     }
 
     /// Whether a slave is being brought up, and was not refused.

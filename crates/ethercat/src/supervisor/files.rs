@@ -219,6 +219,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 return Err(error.into());
             }
         };
+        // It may need its memory for BOOT.
+        information::give_to_slave(&mut self.port, station).await;
         self.work_on(Some(number)).await;
         let Self { port, slaves, .. } = self;
         let slave = slaves.get_mut(number).ok_or(ServiceError::Interrupted)?;

@@ -34,6 +34,7 @@ use super::error::BusError;
 pub use super::event::{BusCommand, BusEvent, BusSetup, Step};
 use super::slave::Condition;
 use super::slave_set::SlaveSet;
+use super::state::AlState;
 use crate::port_state::PortState;
 pub use bring_up::DISCOVERY_TIMEOUT_MS;
 use bus::Bus;
@@ -58,6 +59,8 @@ const SLOW_MS: u32 = 5_000;
 const DOUBLED_MAX: u8 = 8;
 /// The longest of them, ms.
 const PAUSE_MAX_MS: u32 = 30_000;
+/// How often a step of the bring-up is begun again after slaves have disturbed it that no member needs.
+const DISTURBANCES_MAX: u8 = 8;
 /// Rescans that may fail one after the other before the chain is taken as it is.
 const RESCANS_FAILED_MAX: u8 = 10;
 
@@ -118,6 +121,24 @@ impl Failure {
             position: None,
             step,
             error,
+        }
+    }
+}
+
+/// A guarded step of the bring-up, once the slaves are found; each of the others brings a slave to a state.
+#[derive(Clone, Copy, Debug)]
+enum BringUpStep {
+    Clocks,
+    SafeOperational(usize),
+    Operational(usize),
+}
+
+impl BringUpStep {
+    /// The slave that is brought to a state.
+    const fn slave(self) -> Option<usize> {
+        match self {
+            Self::Clocks => None,
+            Self::SafeOperational(number) | Self::Operational(number) => Some(number),
         }
     }
 }
@@ -295,11 +316,21 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             Err(Interruption::Bus) => {
                 self.slaves_sorted = self.inbox.slaves();
                 self.bus.inspect(0..SLAVES).await;
+                let left = self.bus.disturbed_member();
+                // One that is there may stay in its state the next time.
+                self.was_slow = left.is_some_and(|(_, report)| report.is_flagged());
+                self.changed_ms = self.was_slow.then_some(self.bus.port.now_ms());
                 let error = BusError::SlaveCount {
                     expected: self.bus.slaves.len() as u16,
                     actual: self.inbox.slaves(),
                 };
-                self.bus.refuse(Failure::bus(Step::Watch)(error)).await;
+                let failure = match left.filter(|_| self.was_slow) {
+                    Some((position, report)) => {
+                        Failure::of(position, Step::Watch)(report.instead_of(AlState::Operational))
+                    }
+                    None => Failure::bus(Step::Watch)(error),
+                };
+                self.bus.refuse(failure).await;
             }
         }
     }
@@ -324,36 +355,66 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         self.bus.refuse(Failure::bus(Step::Discover)(error)).await;
     }
 
-    /// The steps of a bring-up, each of them guarded.
+    /// The steps of a bring-up, each of them guarded. The members are in OP before the terminals are configured.
     async fn bring_up(&mut self) -> Result<Result<(), Failure>, Interruption> {
         if let Err(failure) = self.find_all().await? {
             return Ok(Err(failure));
         }
-        if let Err(failure) = self.set_up_clocks().await? {
+        if let Err(failure) = self.step(BringUpStep::Clocks).await? {
             return Ok(Err(failure));
         }
-        let order = self.bus.order();
-        for number in order.iter().map(|number| usize::from(*number)) {
-            match self.reach_safe_operational(number).await? {
-                Err(failure) if self.bus.is_terminal(number) => self.bus.refuse_terminal(number, failure).await,
-                Err(failure) => return Ok(Err(failure)),
-                Ok(()) => {}
+        let (order, members) = self.bus.order();
+        let (members, terminals) = order.split_at(members.min(order.len()));
+        for group in [members, terminals] {
+            for number in group.iter().map(|number| usize::from(*number)) {
+                if let Err(failure) = self.step(BringUpStep::SafeOperational(number)).await? {
+                    return Ok(Err(failure));
+                }
+                // Some slaves need process data soon after they have reached SAFEOP.
+                self.bus.send_plan().await;
             }
-        }
-        self.bus.send_plan().await;
-        for number in order.iter().map(|number| usize::from(*number)) {
-            if !self.bus.is_on_the_way(number) {
-                continue;
-            }
-            match self.reach_operational(number).await? {
-                Err(failure) if self.bus.is_terminal(number) => self.bus.refuse_terminal(number, failure).await,
-                Err(failure) => return Ok(Err(failure)),
-                Ok(()) => {}
+            for number in group.iter().map(|number| usize::from(*number)) {
+                if let Err(failure) = self.step(BringUpStep::Operational(number)).await? {
+                    return Ok(Err(failure));
+                }
             }
         }
         self.bus.send_plan().await;
         self.bus.introduce_all().await;
         Ok(Ok(()))
+    }
+
+    /// A step of the bring-up; again after a disturbance by slaves that no member needs. A terminal that fails is refused alone.
+    async fn step(&mut self, step: BringUpStep) -> Result<Result<(), Failure>, Interruption> {
+        let mut tries = 0;
+        loop {
+            let result = match step {
+                BringUpStep::Clocks => self.set_up_clocks().await,
+                BringUpStep::SafeOperational(number) => self.reach_safe_operational(number).await,
+                BringUpStep::Operational(number) if self.bus.is_on_the_way(number) => {
+                    self.reach_operational(number).await
+                }
+                BringUpStep::Operational(_) => return Ok(Ok(())),
+            };
+            match (result, step.slave()) {
+                (Err(Interruption::Bus), number) if tries < DISTURBANCES_MAX && !self.inbox.port.is_down() => {
+                    tries += 1;
+                    self.bus.inspect(0..SLAVES).await;
+                    if self.bus.disturbed_member().is_some() || self.inbox.port.is_down() {
+                        return Err(Interruption::Bus);
+                    }
+                    if let Some((number, failure)) = number.and_then(|number| self.bus.left_terminal(number)) {
+                        self.bus.refuse_terminal(number, failure).await;
+                        return Ok(Ok(()));
+                    }
+                }
+                (Ok(Err(failure)), Some(number)) if self.bus.is_terminal(number) => {
+                    self.bus.refuse_terminal(number, failure).await;
+                    return Ok(Ok(()));
+                }
+                (result, _) => return result,
+            }
+        }
     }
 
     // A step of the bring-up is a function of its own: what one step keeps while it waits then lies where that of the

@@ -97,6 +97,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             }
             None => {
                 self.name(0).await?;
+                let position = number as u8;
+                self.emit(BusEvent::Returned { position }).await;
                 Ok(0)
             }
         }

@@ -201,7 +201,7 @@ impl Slave {
                 let fits = unit.length() == bytes;
                 let kind = !unit.is_mailbox() && unit.is_bus_written() == bus_written;
                 match unit.is_active() {
-                    true => kind && fits,
+                    true => kind && fits && bytes > 0,
                     false => bytes == 0,
                 }
             })

@@ -266,7 +266,7 @@ pub struct FmmuRepr {
 }
 
 impl FmmuRepr {
-    /// A mapping of whole bytes.
+    /// A mapping of whole bytes; inactive without bytes.
     pub const fn bytes(logical_start: u32, length: u16, physical_start: u16, reads: bool) -> Self {
         Self {
             logical_start,
@@ -277,7 +277,7 @@ impl FmmuRepr {
             physical_start_bit: 0,
             reads,
             writes: !reads,
-            active: true,
+            active: length > 0,
         }
     }
 

@@ -1,0 +1,208 @@
+//! Slaves that no member needs, or that leave their state by themselves, while the bus is brought up.
+
+use crate::rig::{Rig, idle_rig_of};
+use etherpen::ethercat::configure::Direction;
+use etherpen::ethercat::cyclic::ExchangeKind;
+use etherpen::ethercat::error::BusError;
+use etherpen::ethercat::event::Step;
+use etherpen::ethercat::slave_set::SlaveSet;
+use etherpen::ethercat::supervisor::BusEvent;
+use etherpen::robots::AXES;
+use host_tools::cell::{AlState, CellOptions, Fault, SlaveList};
+
+/// Longest bring-up with all that happens here, ms.
+const BRING_UP_MS_MAX: u64 = 10_000;
+/// Moments of a bring-up at which something happens.
+const MOMENTS: u64 = 24;
+
+fn rig_of(list: &str, terminals: SlaveSet) -> Rig<'static> {
+    let list: SlaveList = list.parse().expect("a list");
+    let mut rig = idle_rig_of(CellOptions {
+        slaves: list.slaves,
+        places: list.places,
+        ..CellOptions::default()
+    });
+    rig.setup.terminals = terminals;
+    rig
+}
+
+impl Rig<'_> {
+    fn started(mut self) -> Self {
+        self.start();
+        self
+    }
+
+    fn al_state_of(&self, slave: usize) -> AlState {
+        self.cell.state().slaves[slave].al_state
+    }
+
+    fn refusals(&self) -> Vec<(Option<u8>, Step, BusError)> {
+        let refused = self.log.iter().filter_map(|event| match event {
+            BusEvent::Refused { position, step, error } => Some((*position, *step, *error)),
+            _ => None,
+        });
+        refused.collect()
+    }
+
+    /// All drives are in OP, and their inputs arrive.
+    fn assert_drives_operate(&mut self, what: &str) {
+        self.run_ms(20);
+        for drive in 0..AXES {
+            assert_eq!(self.al_state_of(drive), AlState::Operational, "drive {drive}, {what}");
+        }
+        assert!(self.inputs.iter().all(Option::is_some), "{what}: {:#?}", self.log);
+    }
+}
+
+/// Time of an undisturbed bring-up, ms.
+fn undisturbed_ms(list: &str, terminals: SlaveSet) -> u64 {
+    rig_of(list, terminals).started().operational()
+}
+
+#[test]
+pub(crate) fn an_unused_slave_with_an_error_keeps_no_drive_from_operation() {
+    const CHAIN: &str = "ax2000*4,cia402@name=other";
+    let whole_ms = undisturbed_ms(CHAIN, SlaveSet::NONE);
+    for moment in 0..MOMENTS {
+        let at_ms = whole_ms * moment / MOMENTS;
+        let mut rig = rig_of(CHAIN, SlaveSet::NONE).started();
+        rig.run_ms(at_ms as u32);
+        rig.cell.inject(Fault::Fall(AXES + 1, AlState::Init, 0x0060));
+        rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+        assert_eq!(rig.refusals(), [], "at {at_ms} ms");
+        rig.assert_drives_operate(&format!("at {at_ms} of {whole_ms} ms"));
+    }
+}
+
+#[test]
+pub(crate) fn a_terminal_that_falls_during_the_bring_up_is_named_alone_and_comes_back() {
+    const CHAIN: &str = "ax2000*4,el1008,cia402@name=other,el2004";
+    const TERMINAL: usize = AXES + 1;
+    let whole_ms = undisturbed_ms(CHAIN, SlaveSet::ALL);
+    let mut named = 0;
+    for moment in 0..MOMENTS {
+        let at_ms = whole_ms * moment / MOMENTS;
+        let mut rig = rig_of(CHAIN, SlaveSet::ALL).started();
+        rig.run_ms(at_ms as u32);
+        rig.cell.inject(Fault::Fall(TERMINAL + 1, AlState::Init, 0x0060));
+        rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+        assert_eq!(rig.refusals(), [], "at {at_ms} ms");
+        rig.assert_drives_operate(&format!("at {at_ms} of {whole_ms} ms"));
+        for neighbour in [TERMINAL - 1, TERMINAL + 1] {
+            assert_eq!(rig.al_state_of(neighbour), AlState::Operational, "at {at_ms} ms");
+        }
+        if rig.al_state_of(TERMINAL) == AlState::Operational {
+            continue;
+        }
+        named += 1;
+        let is_named = |event: &BusEvent| {
+            let position = match event {
+                BusEvent::TerminalRefused { position, .. } | BusEvent::SlaveLeft { position, .. } => *position,
+                _ => return false,
+            };
+            usize::from(position) == TERMINAL
+        };
+        assert!(rig.log.iter().any(is_named), "at {at_ms} ms: {:#?}", rig.log);
+        rig.recover();
+        rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+        assert_eq!(rig.al_state_of(TERMINAL), AlState::Operational, "at {at_ms} ms");
+    }
+    assert!(named > 0, "the terminal has to be out of OP at least once");
+}
+
+#[test]
+pub(crate) fn a_drive_that_leaves_its_state_during_the_bring_up_is_named_and_the_next_try_comes_unasked() {
+    const DRIVE: usize = 1;
+    let whole_ms = undisturbed_ms("ax2000*4", SlaveSet::NONE);
+    let mut named = 0;
+    for moment in 0..MOMENTS {
+        let at_ms = whole_ms * moment / MOMENTS;
+        let mut rig = rig_of("ax2000*4", SlaveSet::NONE).started();
+        rig.run_ms(at_ms as u32);
+        rig.cell
+            .inject(Fault::Fall(DRIVE + 1, AlState::SafeOperational, 0x001A));
+        rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+        for (position, step, error) in rig.refusals() {
+            assert_eq!(position, Some(DRIVE as u8), "at {at_ms} ms: {step:?}, {error:?}");
+            let code = error.code();
+            assert_eq!(code, 0x001A, "at {at_ms} ms: {step:?}, {error:?}");
+            named += 1;
+        }
+        rig.run_ms(150);
+        if rig.al_state_of(DRIVE) != AlState::Operational {
+            // It fell when it was in OP already.
+            let has_left =
+                |event: &BusEvent| matches!(event, BusEvent::SlaveLeft { position, .. } if *position == DRIVE as u8);
+            assert!(rig.log.iter().any(has_left), "at {at_ms} ms: {:#?}", rig.log);
+            rig.recover();
+            rig.operational();
+        }
+        rig.assert_drives_operate(&format!("at {at_ms} of {whole_ms} ms"));
+    }
+    assert!(named > 0, "the drive has to end the bring-up at least once");
+}
+
+#[test]
+pub(crate) fn the_drives_exchange_data_soon_after_safeop_and_operate_before_a_terminal_is_configured() {
+    const CHAIN: &str = "ax2000,el1008,ax2000*3,el2004@boot=3000,cia402@boot=3000";
+    const DRIVES: [usize; AXES] = [0, 2, 3, 4];
+    const LAST: usize = AXES + 2;
+    // Longest time from SAFEOP to the first process data, ms.
+    const SOON_MS: u32 = 10;
+    for exchange in [ExchangeKind::Split, ExchangeKind::Combined] {
+        let mut rig = rig_of(CHAIN, SlaveSet::ALL);
+        rig.setup.exchange = exchange;
+        let mut rig = rig.started();
+        let (mut without_ms, mut operating) = ([0; AXES], false);
+        for _ in 0..BRING_UP_MS_MAX {
+            if rig.millisecond().contains(&BusEvent::Operational) {
+                break;
+            }
+            for (drive, without_ms) in DRIVES.iter().zip(&mut without_ms) {
+                let bits = rig.group.exchange().bits::<u64>(*drive, Direction::Inputs, 0, 8);
+                let is_waiting = rig.al_state_of(*drive) == AlState::SafeOperational && bits.is_none();
+                *without_ms = if is_waiting { *without_ms + 1 } else { 0 };
+                assert!(*without_ms <= SOON_MS, "drive {drive}, {exchange:?}");
+            }
+            operating = DRIVES
+                .iter()
+                .all(|drive| rig.al_state_of(*drive) == AlState::Operational);
+            let is_configured = |slave: &usize| rig.al_state_of(*slave) > AlState::PreOperational;
+            let terminal = [1, LAST - 1, LAST].into_iter().find(is_configured);
+            assert!(
+                operating || terminal.is_none(),
+                "{terminal:?} comes first, {exchange:?}"
+            );
+        }
+        assert!(
+            operating && rig.al_state_of(LAST) == AlState::Operational,
+            "{:#?}",
+            rig.log
+        );
+    }
+}
+
+#[test]
+pub(crate) fn a_terminal_that_lost_its_power_is_told_when_it_is_back() {
+    let mut rig = rig_of("ax2000*4,el1008,el2004", SlaveSet::ALL).started();
+    rig.operational();
+    rig.run_ms(50);
+    rig.cell.inject(Fault::Power(AXES + 2, 1_500));
+    rig.wait_for(100, |event| {
+        *event
+            == BusEvent::SlaveLost {
+                position: AXES as u8 + 1,
+            }
+    });
+    // A command that comes too early brings nothing back, and hides nothing.
+    rig.recover();
+    let returned = BusEvent::Returned {
+        position: AXES as u8 + 1,
+    };
+    rig.wait_for(3_000, |event| *event == returned);
+    assert!(rig.al_state_of(AXES + 1) != AlState::Operational);
+    rig.recover();
+    rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+    assert_eq!(rig.al_state_of(AXES + 1), AlState::Operational);
+    rig.assert_drives_operate("with the terminal back");
+}
