@@ -6,6 +6,7 @@ use core::task::{Context, Waker};
 use etherpen::ethercat::BusQueues;
 use etherpen::ethercat::configure::Direction;
 use etherpen::ethercat::cyclic::Exchange;
+use etherpen::ethercat::driver::SlaveFactory;
 use etherpen::ethercat::event::{BusCommand, BusSetup};
 use etherpen::ethercat::no_drivers::NoDrivers;
 use etherpen::ethercat::supervisor::{BusEvent, Supervisor};
@@ -30,12 +31,12 @@ pub(crate) enum Fate {
 /// A frame of the next cycle: its number among those of its direction, and whether it is one after control.
 pub(crate) type Which = (usize, bool);
 
-/// A master without drivers, a chain and a clock.
-pub(crate) struct Bench<const SLAVES: usize, const FURTHER: usize> {
+/// A master, without drivers unless a test brings its own, a chain and a clock.
+pub(crate) struct Bench<const SLAVES: usize, const FURTHER: usize, F: SlaveFactory = NoDrivers> {
     pub(crate) segment: Segment<Flywheel>,
-    pub(crate) exchange: Exchange<'static, NoDrivers, SLAVES, 1024, FURTHER>,
+    pub(crate) exchange: Exchange<'static, F, SLAVES, 1024, FURTHER>,
     supervisor: Pin<Box<dyn Future<Output = ()>>>,
-    pub(crate) commands: Producer<'static, BusCommand<NoDrivers>>,
+    pub(crate) commands: Producer<'static, BusCommand<F>>,
     events: Consumer<'static, BusEvent>,
     pub(crate) log: Vec<BusEvent>,
     /// What happens to frames of the next cycle.
@@ -48,10 +49,10 @@ pub(crate) struct Bench<const SLAVES: usize, const FURTHER: usize> {
     polled_ms: u64,
 }
 
-impl<const SLAVES: usize, const FURTHER: usize> Bench<SLAVES, FURTHER> {
+impl<const SLAVES: usize, const FURTHER: usize, F: SlaveFactory + 'static> Bench<SLAVES, FURTHER, F> {
     /// Starts a master for this setup; its cycle is the setup's.
-    pub(crate) fn start(options: &SegmentOptions, setup: BusSetup<NoDrivers>) -> Self {
-        let queues = Box::leak(Box::new(BusQueues::<NoDrivers, SLAVES, 1024, FURTHER>::new()));
+    pub(crate) fn start(options: &SegmentOptions, setup: BusSetup<F>) -> Self {
+        let queues = Box::leak(Box::new(BusQueues::<F, SLAVES, 1024, FURTHER>::new()));
         let (exchange_end, supervisor_end, mut application) = queues.split();
         let cycle_us = u64::from(setup.cycle_ns) / 1_000;
         assert!(application.commands.enqueue(BusCommand::Start(setup)).is_ok());

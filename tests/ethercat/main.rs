@@ -12,6 +12,7 @@ mod disturbances;
 mod files;
 mod frame_faults;
 mod homing;
+mod own_driver;
 mod real_chain;
 mod rig;
 mod services;

@@ -145,7 +145,17 @@ fn run<T>(script: Vec<Step>, work: impl AsyncFnOnce(&mut ObjectDictionary<'_, '_
     run_with(slave, work)
 }
 
-fn run_with<T>(mut slave: Slave, work: impl AsyncFnOnce(&mut ObjectDictionary<'_, '_, MESSAGE>) -> T) -> (T, Mailbox) {
+fn run_with<T>(slave: Slave, work: impl AsyncFnOnce(&mut ObjectDictionary<'_, '_, MESSAGE>) -> T) -> (T, Mailbox) {
+    let window = |start| MailboxWindow { start, length: WINDOW };
+    let mailbox = Mailbox::new::<MESSAGE>(0x1001, window(OUT), window(IN)).unwrap();
+    run_on(mailbox, slave, work)
+}
+
+fn run_on<T>(
+    mut mailbox: Mailbox,
+    mut slave: Slave,
+    work: impl AsyncFnOnce(&mut ObjectDictionary<'_, '_, MESSAGE>) -> T,
+) -> (T, Mailbox) {
     let mut register_requests = Queue::<Request, { IN_FLIGHT_MAX + 1 }>::new();
     let mut register_replies = Queue::<Reply<REGISTER_BYTES_MAX>, { IN_FLIGHT_MAX + 1 }>::new();
     let mut message_requests = Queue::<Request<MESSAGE>, 2>::new();
@@ -155,8 +165,6 @@ fn run_with<T>(mut slave: Slave, work: impl AsyncFnOnce(&mut ObjectDictionary<'_
     let (ask_message, mut asked_message) = message_requests.split();
     let (mut give_message, given_message) = message_replies.split();
     let mut port = AcyclicPort::new(Lane::new(ask, given), Lane::new(ask_message, given_message));
-    let window = |start| MailboxWindow { start, length: WINDOW };
-    let mut mailbox = Mailbox::new::<MESSAGE>(0x1001, window(OUT), window(IN)).unwrap();
     let result = {
         let mut dictionary = ObjectDictionary::new(&mut port, &mut mailbox);
         let mut future = pin!(work(&mut dictionary));
@@ -177,6 +185,18 @@ fn run_with<T>(mut slave: Slave, work: impl AsyncFnOnce(&mut ObjectDictionary<'_
     };
     assert!(slave.script.is_empty(), "not sent: {:?}", slave.script);
     (result, mailbox)
+}
+
+#[test]
+fn a_slave_without_a_mailbox_is_sent_nothing() {
+    let (read, _) = run_on(Mailbox::default(), Slave::default(), async |dictionary| {
+        dictionary.read(OBJECT, 4).await
+    });
+    let missing = BusError::MailboxLength {
+        expected: MESSAGE as u16,
+        actual: 0,
+    };
+    assert_eq!(read, Err(missing));
 }
 
 const VALUE: [u8; 60] = {

@@ -132,7 +132,7 @@ impl Mailbox {
     /// As [`AcyclicPort::send_until_counted`].
     pub async fn drain<const MESSAGE: usize>(&mut self, port: &mut AcyclicPort<'_, MESSAGE>) -> Result<(), BusError> {
         for _ in 0..DRAIN_MAX {
-            if !self.is_full(port, 1).await? {
+            if self.input.length == 0 || !self.is_full(port, 1).await? {
                 break;
             }
             let message = self.fetch(port).await?;
