@@ -10,7 +10,7 @@ use serde_json::json;
 /// Requests new pictures.
 const RENEW: &str = "ETHERPEN_RENEW_SCREENSHOTS";
 pub(crate) const DESKTOP: (u32, u32) = (1600, 1000);
-const PHONE: (u32, u32) = (390, 844);
+pub(crate) const PHONE: (u32, u32) = (390, 844);
 
 /// A few strokes that take some seconds.
 pub(crate) fn short_drawing() -> String {
