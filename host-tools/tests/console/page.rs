@@ -287,10 +287,13 @@ fn the_documentations_pictures_are_renewed_when_asked() {
     begin(browser, &rig);
     let photograph = std::fs::read(host_tools::setup::workspace().join("samples/astronaut.png")).unwrap();
     drop_file(browser, "astronaut.png", &photograph);
+    let docs = host_tools::setup::workspace().join("docs");
+    browser.press("#vary");
+    browser.until("etherpen.link.state.variants.state === 'ready'");
+    browser.screenshot(&docs.join("console-photograph.png"), DESKTOP.0, Some(1_110));
     browser.press("#enqueue");
     browser.press("#queue button.primary");
     browser.until("etherpen.link.state.progress?.executed_mm > 0.42 * etherpen.link.state.progress.total_mm");
-    let docs = host_tools::setup::workspace().join("docs");
     browser.screenshot(&docs.join("console.png"), DESKTOP.0, None);
     browser.dark(true);
     browser.screenshot(&docs.join("console-dark.png"), DESKTOP.0, None);

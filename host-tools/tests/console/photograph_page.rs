@@ -51,18 +51,15 @@ fn pick(browser: &mut Browser, field: &str, value: &str) {
     browser.click(&format!("{list} li[data-value={}]", json!(value)));
 }
 
-/// Width over height of the preview on the sheet.
-fn shape(browser: &mut Browser) -> f64 {
-    let side = |axis: &str| {
-        format!(
-            "(Math.max(...path.{axis}.filter((_, at) => path.drawn[at])) - Math.min(...path.{axis}.filter((_, at) => path.drawn[at])))"
-        )
-    };
+/// Width and height of the preview's ink on the sheet, mm.
+fn ink_mm(browser: &mut Browser) -> [f64; 2] {
     browser.until(&format!("globalThis.path?.number === {STUDIO}.number"));
-    browser
-        .value(&format!("{} / {}", side("x"), side("y")))
-        .as_f64()
-        .unwrap()
+    ["x", "y"].map(|axis| {
+        let side = format!(
+            "(() => {{ const all = path.{axis}.filter((_, at) => path.drawn[at]); return Math.max(...all) - Math.min(...all); }})()"
+        );
+        browser.value(&side).as_f64().unwrap()
+    })
 }
 
 fn frame_by_hand(size: (u32, u32)) {
@@ -104,9 +101,13 @@ fn frame_by_hand(size: (u32, u32)) {
     let wanted = [head[0], head[1], head[2] + by[0] * px, head[3] + by[1] * px];
     assert!(is_near(dragged, wanted, 3.0), "{dragged:?}, not {wanted:?}");
     assert_framed(browser);
-    let (seen, wanted) = (shape(browser), dragged[2] / dragged[3]);
-    println!("{} px: frame {dragged:?}, shape {wanted:.2}, drawn {seen:.2}", size.0);
-    assert!((seen / wanted - 1.0).abs() < 0.12, "{seen}, not {wanted}");
+    // The longer side of the part is 60 mm; light pixels at its edges get no ink.
+    let longer = dragged[2].max(dragged[3]);
+    let (ink, room) = (ink_mm(browser), [dragged[2], dragged[3]].map(|px| 60.0 * px / longer));
+    println!("{} px: frame {dragged:?}, ink {ink:.1?} mm in {room:.1?} mm", size.0);
+    for (ink, room) in ink.iter().zip(room) {
+        assert!((0.6 * room..=room + 0.5).contains(ink), "{ink} mm of {room} mm");
+    }
 
     // The frame is moved, and stays in the picture however far.
     let middle = browser.place(".photograph .frame");

@@ -266,6 +266,18 @@ mod tests {
     }
 
     #[test]
+    fn pictures_are_taken_one_after_the_other_and_never_beyond_the_end() {
+        let bytes: Vec<u8> = (0..30).collect();
+        let mut pixels = bytes.as_slice();
+        assert!(taken(&mut pixels, [u32::MAX, u32::MAX]).is_none());
+        let first = taken(&mut pixels, [3, 2]).expect("18 bytes");
+        assert_eq!((first.dimensions(), first.as_raw().as_slice()), ((3, 2), &bytes[..18]));
+        assert!(taken(&mut pixels, [5, 1]).is_none(), "12 bytes are left");
+        let second = taken(&mut pixels, [1, 4]).expect("12 bytes");
+        assert_eq!((second.as_raw().as_slice(), pixels.len()), (&bytes[18..], 0));
+    }
+
+    #[test]
     fn messages_keep_the_bytes_behind_them_and_damaged_ones_are_none() {
         let bytes = framed(&("name", 7_u32), vec![1, 2, 3]).expect("memory");
         assert_eq!(
