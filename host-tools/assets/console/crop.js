@@ -45,7 +45,8 @@ export function crop(link, fields) {
     const [width, height] = photo.size_px;
     const isDrawn = state === "ready" && fields.same(fields.wishes(), wishes);
     part = typed && !isDrawn ? limited(typed) : photo.window_px;
-    face = pointed ? [clamp(pointed[0], 0, width), clamp(pointed[1], 0, height), clamp(pointed[2], RADIUS_MIN, Math.hypot(width, height))] : photo.face_px;
+    // A circle near a face that was found becomes that face.
+    face = pointed && !isDrawn ? [clamp(pointed[0], 0, width), clamp(pointed[1], 0, height), clamp(pointed[2], RADIUS_MIN, Math.hypot(width, height))] : photo.face_px;
     show();
   };
   const limited = ([left, top, width, height]) => {

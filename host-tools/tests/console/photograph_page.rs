@@ -172,13 +172,13 @@ fn frame_by_hand(size: (u32, u32)) {
         .as_f64()
         .unwrap();
     let from = browser.place(".grip.middle");
-    browser.drag(size.0 < 600, from, [from[0] - 12.0, from[1]]);
+    browser.drag(size.0 < 600, from, [from[0] - 25.0, from[1]]);
     until_drawn(browser, &format!("{STUDIO}.photograph.face_px[0] < {}", face - 5.0));
     let now = browser
         .value(&format!("{STUDIO}.photograph.face_px[0]"))
         .as_f64()
         .unwrap();
-    assert!((face - now - 12.0 * px).abs() < 3.0, "{face} to {now}");
+    assert!((face - now - 25.0 * px).abs() < 3.0, "{face} to {now}");
     browser.keep(&format!("21 frame {}", size.0));
     let over = browser.value("document.documentElement.scrollWidth - document.documentElement.clientWidth");
     assert_eq!(over, 0, "the page is wider than {} px", size.0);
