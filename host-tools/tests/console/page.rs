@@ -290,6 +290,7 @@ fn the_documentations_pictures_are_renewed_when_asked() {
     let docs = host_tools::setup::workspace().join("docs");
     browser.press("#vary");
     browser.until("etherpen.link.state.variants.state === 'ready'");
+    browser.value("{ scrollTo(0, 0); }");
     browser.screenshot(&docs.join("console-photograph.png"), DESKTOP.0, Some(1_110));
     browser.press("#enqueue");
     browser.press("#queue button.primary");

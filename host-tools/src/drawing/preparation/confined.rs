@@ -198,7 +198,7 @@ fn unframed<T: DeserializeOwned>(bytes: &[u8]) -> Option<(T, &[u8])> {
 
 /// Takes a picture of this width and height, pixels, from the front of the bytes.
 fn taken(pixels: &mut &[u8], [width, height]: [u32; 2]) -> Option<RgbImage> {
-    let bytes = usize::try_from(3 * u64::from(width) * u64::from(height)).ok()?;
+    let bytes = usize::try_from(3 * u128::from(width) * u128::from(height)).ok()?;
     let (picture, rest) = pixels.split_at_checked(bytes)?;
     *pixels = rest;
     RgbImage::from_raw(width, height, picture.to_vec())
