@@ -61,7 +61,7 @@ pub(crate) fn messages(bytes: &[u8]) {
             Ok(_) => understood += 1,
             Err(error) => assert!(!error.to_string().is_empty()),
         }
-        if let Err(error) = PageOptions::parse(text) {
+        if let Err(error) = PageOptions::parse(text).and_then(|options| options.explicit()) {
             assert!(!error.is_empty());
         }
         assert!(!shown_name(text).is_empty());
@@ -129,6 +129,9 @@ pub(crate) fn message_seeds() -> Vec<Vec<u8>> {
         r#"{"type":"disarm"}"#,
         r#"{"type":"inject","fault":{"what":"remove","slave":2}}"#,
         r#"{"type":"replan","wishes":{"style":"","size":"100mm","max_time":"60s"}}"#,
+        r#"{"type":"replan","wishes":{"crop":"10,20,300,400","background":"none","focus":"90,80,30"}}"#,
+        r#"{"crop":"head","background":"keep","focus":"1e308,5,5"}"#,
+        r#"{"type":"vary"}"#,
         r#"{"type":"enqueue","preparation":1}"#,
         r#"{"type":"start","job":1}"#,
         r#"{"type":"discard","job":1}"#,

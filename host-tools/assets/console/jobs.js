@@ -1,25 +1,26 @@
 // Drawings: drop a file, preview it with its duration, queue it, start it; past drawings.
 
-import { choice } from "./choice.js";
-import { $, duration, element, keyed, number, set, text, toast } from "./dom.js";
-
-// Pause in typing before a file is planned, ms.
-const TYPING_MS = 400;
+import { crop } from "./crop.js";
+import { $, duration, element, keyed, number, set, text } from "./dom.js";
+import { optionFields } from "./options.js";
+import { variants } from "./variants.js";
 
 // A layer that waits for its pen.
 export const layerText = ({ layer, number, layers }) => `layer ${layer || "without a name"} (${number} of ${layers})`;
 const strokes = (count) => `${count} stroke${count === 1 ? "" : "s"}`;
 
 export function jobs(link) {
-  const wishes = optionFields(link);
-  dropped(link, wishes);
+  const fields = optionFields(link);
+  dropped(link, fields);
   studio(link);
+  crop(link, fields);
+  variants(link, fields);
   lists(link);
 }
 
 // A dropped file stays here until the console has accepted it: without control, without a connection, or after a
 // refusal.
-function dropped(link, wishes) {
+function dropped(link, fields) {
   let kept = null;
   let refused = "";
   let sending = false;
@@ -49,7 +50,7 @@ function dropped(link, wishes) {
     const file = kept;
     [sending, refused] = [true, ""];
     show();
-    const answer = await link.upload(file, JSON.stringify(wishes())).catch(() => null);
+    const answer = await link.upload(file, JSON.stringify(fields.wishes())).catch(() => null);
     sending = false;
     if (kept !== file) return offer();
     if (answer?.ok) kept = null;
@@ -59,6 +60,7 @@ function dropped(link, wishes) {
   const take = (file) => {
     if (!file) return;
     [kept, refused] = [file, ""];
+    fields.forget();
     const { control, you } = link.state;
     if (you?.may_command && control?.holder === null) link.send({ type: "take" });
     show();
@@ -86,55 +88,6 @@ function dropped(link, wishes) {
     event.preventDefault();
     take(event.dataTransfer.files[0]);
   });
-}
-
-// Options for converting a photograph into strokes; empty ones take their defaults. Every change plans the file again.
-function optionFields(link) {
-  const style = choice("Style", [["", "default"]]);
-  const size = element("input", { type: "text", placeholder: "fits the sheet", ariaLabel: "Size, with its unit" });
-  const time = element("input", { type: "text", placeholder: "about 110s", ariaLabel: "Longest drawing time, for instance 3m" });
-  const styles = element("div", { className: "field", hidden: true }, "style", style);
-  $("options").append(styles, element("label", {}, "size", size), element("label", {}, "at most", time));
-  const wishes = () => ({ style: style.value, size: size.value.trim(), max_time: time.value.trim() });
-  const same = (a, b) => Boolean(b) && ["style", "size", "max_time"].every((name) => a[name] === b[name]);
-
-  let asked = null;
-  let timer = 0;
-  const replan = () => {
-    clearTimeout(timer);
-    const { studio: made } = link.state;
-    const wanted = wishes();
-    if (!made || made.state === "idle" || same(wanted, asked ?? made.wishes)) return;
-    if (!link.controls) {
-      toast("Take control to plan it again");
-      return;
-    }
-    asked = wanted;
-    link.send({ type: "replan", wishes: wanted });
-  };
-  for (const field of [style, size, time]) {
-    field.addEventListener("change", replan);
-    field.addEventListener("input", () => {
-      clearTimeout(timer);
-      timer = setTimeout(replan, TYPING_MS);
-    });
-  }
-  link.on("robot", (constants) => {
-    const known = constants?.styles ?? [];
-    styles.hidden = known.length === 0;
-    if (style.options.length === 1) style.options = [["", "default"], ...known.map((name) => [name, name])];
-  });
-  // Options chosen by another viewer, or by this page before a reload; a field being edited is never overwritten.
-  let seen = null;
-  link.on("studio", (made) => {
-    asked = null;
-    if (!made || made.state === "idle" || (seen && link.controls) || same(made.wishes, seen)) return;
-    const values = [made.wishes.style, made.wishes.size, made.wishes.max_time];
-    [style, size, time].forEach((field, index) => field.contains(document.activeElement) || set(field, { value: values[index] }));
-    seen = made.wishes;
-  });
-  link.on("control", () => link.controls && replan());
-  return wishes;
 }
 
 function studio(link) {

@@ -96,6 +96,10 @@ export class Link extends EventTarget {
         path.y[vertex] = view.getFloat32(at + 8, true);
       }
       this.tell("path", path);
+    } else if (kind === 3) {
+      const use = view.getUint8(1);
+      const file = new Blob([new Uint8Array(view.buffer, 8)], { type: use === 1 ? "image/jpeg" : "image/png" });
+      this.tell("picture", { use, number: view.getUint32(4, true), file });
     }
   }
 

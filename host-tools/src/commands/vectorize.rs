@@ -20,7 +20,8 @@ pub struct Arguments {
     /// The SVG to write, of the sheet's size; - writes it to standard output.
     #[arg(short, long, value_name = "OUT.svg", required_unless_present = "contact_sheet")]
     out: Option<PathBuf>,
-    /// Draw the photograph in this many ways: styles, crops and backgrounds; the first one is the one asked for.
+    /// Draw the photograph in this many ways: styles, crops and backgrounds; the first one is the one asked for. A window
+    /// given by --crop stays.
     #[arg(long, value_name = "COUNT", requires = "contact_sheet", value_parser = clap::value_parser!(u8).range(1..=12))]
     variants: Option<u8>,
     /// The PNG with all variants side by side, each with its options [default: 6 variants].

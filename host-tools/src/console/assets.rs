@@ -38,6 +38,9 @@ pub(super) const ASSETS: &[Asset] = &[
     asset!("/plot.js", "plot.js", "text/javascript; charset=utf-8"),
     asset!("/scope.js", "scope.js", "text/javascript; charset=utf-8"),
     asset!("/jobs.js", "jobs.js", "text/javascript; charset=utf-8"),
+    asset!("/options.js", "options.js", "text/javascript; charset=utf-8"),
+    asset!("/crop.js", "crop.js", "text/javascript; charset=utf-8"),
+    asset!("/variants.js", "variants.js", "text/javascript; charset=utf-8"),
     asset!("/drives.js", "drives.js", "text/javascript; charset=utf-8"),
 ];
 

@@ -58,6 +58,8 @@ pub enum Topic {
     Progress,
     /// The drawing being prepared.
     Preparation,
+    /// The photograph drawn in several ways.
+    Variants,
     /// The firmware's measurements.
     Measured,
     /// Where the sheet lies, and the touches that find it.
@@ -78,6 +80,7 @@ impl Topic {
             Self::Jobs => "jobs",
             Self::Progress => "progress",
             Self::Preparation => "studio",
+            Self::Variants => "variants",
             Self::Measured => "measured",
             Self::Sheet => "sheet",
             Self::Segment => "segment",

@@ -1,7 +1,8 @@
 //! Messages between the page and the console.
 //!
 //! The page sends requests as JSON text; the console sends sections of its state as JSON text, `{"section", "data"}`,
-//! and rows of numbers as binary messages whose layout is documented at [`columns`] and [`path`]. Invariant: a
+//! and rows of numbers and pictures as binary messages whose layout is documented at [`columns`], [`path`] and
+//! [`picture`]. Invariant: a
 //! malformed message is refused with the reason; no part of it is carried out.
 
 use super::capture::Condition;
@@ -25,6 +26,7 @@ pub const WINDOW_MAX_MS: u64 = 60_000;
 /// First byte of a binary message.
 const KIND_COLUMNS: u8 = 1;
 const KIND_PATH: u8 = 2;
+const KIND_PICTURE: u8 = 3;
 
 /// A number in a tagged message. serde_json passes it on as digits, because the decoder of the firmware's log makes
 /// serde_json keep all digits of a number.
@@ -232,6 +234,8 @@ pub enum Request {
         /// The options.
         wishes: PageOptions,
     },
+    /// Draw the present photograph in several ways, to choose from.
+    Vary,
     /// Add the prepared drawing to the queue.
     Enqueue {
         /// Number of the preparation.
@@ -341,6 +345,24 @@ pub fn path(kind: PathUse, number: u64, vertices: &[PathVertex], vertices_max: u
     bytes
 }
 
+/// Use of a picture in a binary message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[repr(u8)]
+pub enum PictureUse {
+    /// The photograph of the preparation, a JPEG.
+    Photograph = 1,
+    /// A variant of the photograph, a PNG.
+    Variant = 2,
+}
+
+/// A picture, little-endian: kind, use, two bytes of padding; its number as `u32`; the bytes of its file.
+pub fn picture(kind: PictureUse, number: u64, file: &[u8]) -> Vec<u8> {
+    let mut bytes = vec![KIND_PICTURE, kind as u8, 0, 0];
+    bytes.extend((number as u32).to_le_bytes());
+    bytes.extend(file);
+    bytes
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -349,6 +371,7 @@ mod tests {
     fn requests_are_read_as_they_are_written_by_the_page() {
         let read = |text: &str| serde_json::from_str::<Request>(text);
         assert_eq!(read(r#"{"type":"stop"}"#).unwrap(), Request::Stop);
+        assert_eq!(read(r#"{"type":"vary"}"#).unwrap(), Request::Vary);
         assert_eq!(
             read(r#"{"type":"command","action":{"do":"override","percent":80}}"#).unwrap(),
             Request::Command {

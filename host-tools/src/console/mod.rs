@@ -29,12 +29,14 @@ pub mod sheet;
 pub mod signals;
 pub mod skeleton;
 pub mod status;
+mod variants;
 mod viewer;
 pub mod virtual_cell;
 
 use crate::axes::axes;
 use crate::link::port::{PortError, PortName};
 use crate::machine::{Machine, MachineOptions, Order, Ticket};
+use axum::body::Bytes;
 use etherpen::config::Config;
 use etherpen::robots::Position;
 use event_pump::EventPump;
@@ -42,7 +44,7 @@ use gate::Gate;
 use hub::{Hub, Level, Topic};
 use jobs::PreparedDrawing;
 use messages::Injection;
-use preparation::{PageOptions, PreparationView};
+use preparation::{Made, PageOptions, PhotographView, PreparationView};
 use serde::Serialize;
 use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -67,6 +69,8 @@ struct RobotView<'a> {
     signals: Vec<signals::PlotSignal>,
     /// Styles available for photographs.
     styles: Vec<String>,
+    /// What can be drawn of a photograph's background.
+    backgrounds: Vec<String>,
 }
 
 /// An axis as shown on the page.
@@ -92,6 +96,8 @@ const PREPARATIONS_MAX: usize = 2;
 
 /// A file dropped on a page.
 struct Source {
+    /// Number of its first preparation, and of its picture.
+    number: u64,
     name: String,
     content: Vec<u8>,
 }
@@ -114,7 +120,9 @@ struct Preview {
     begun: u64,
     /// Number of threads that are preparing.
     running: usize,
-    drawing: Option<PreparedDrawing>,
+    made: Option<Made>,
+    /// The photograph, once it is known, and its picture.
+    photograph: Option<(PhotographView, Bytes)>,
 }
 
 impl Preview {
@@ -123,6 +131,26 @@ impl Preview {
         let wanted = self.wanted.clone().filter(|_| self.begun < self.number)?;
         self.begun = self.number;
         Some((self.number, wanted))
+    }
+
+    /// A view of the last preparation requested.
+    fn view(&self) -> PreparationView {
+        let photograph = self.photograph.as_ref().map(|(view, _)| *view);
+        self.wanted.as_ref().map_or_else(PreparationView::idle, |wanted| {
+            PreparationView::working(self.number, &wanted.source.name, &wanted.wishes, photograph)
+        })
+    }
+
+    /// Takes the result of the last preparation requested.
+    fn take(&mut self, result: Result<Made, String>) -> PreparationView {
+        if let (Ok(made), Some(wanted)) = (&result, &self.wanted) {
+            let number = wanted.source.number;
+            let shown = |(part, file): (_, Bytes)| (PhotographView::new(number, part), file);
+            self.photograph = made.photograph.clone().map(shown);
+        }
+        let view = self.view().ended(result.as_ref().map(|made| &made.drawing));
+        self.made = result.ok();
+        view
     }
 }
 
@@ -136,6 +164,7 @@ pub struct Console {
     cell: Option<(VirtualCell, &'static str)>,
     removed: Mutex<Vec<usize>>,
     preview: Mutex<Preview>,
+    variants: Mutex<variants::Variants>,
     sheet: Mutex<sheet::SheetTouches>,
     /// Where the robot goes for a change of the pen; `None`: it stays over the last stroke.
     pen_change: Option<Position>,
@@ -187,18 +216,16 @@ impl Console {
             paper: &config.paper,
             work_area: &config.work_area,
             signals: signals::catalogue(&config),
-            styles: preparation::styles(),
+            styles: preparation::choices_of("style"),
+            backgrounds: preparation::choices_of("background"),
         };
         hub.say(Topic::Robot, &view);
         // A machine that connected before the console was ready has already published its greeting.
         if let Some(welcome) = machine.snapshot().welcome {
             hub.connected(&welcome);
         }
-        let idle = PreparationView {
-            state: "idle",
-            ..PreparationView::default()
-        };
-        hub.say(Topic::Preparation, &idle);
+        hub.say(Topic::Preparation, &PreparationView::idle());
+        hub.say(Topic::Variants, &variants::Variants::default().view());
         hub.say(Topic::Sheet, &sheet::configured(&config));
         let console = Arc::new(Self {
             config,
@@ -209,6 +236,7 @@ impl Console {
             cell,
             removed: Mutex::new(Vec::new()),
             preview: Mutex::default(),
+            variants: Mutex::default(),
             sheet: Mutex::default(),
             pen_change,
             changed: watch::channel(0).0,
@@ -311,7 +339,9 @@ impl Console {
     /// Prepares a file, replacing any other.
     fn prepare(self: &Arc<Self>, name: &str, wishes: PageOptions, content: Vec<u8>) -> Result<(), String> {
         let name = preparation::shown_name(name);
-        let source = Arc::new(Source { name, content });
+        let number = lock(&self.preview).number + 1;
+        let source = Arc::new(Source { number, name, content });
+        self.end_variants();
         self.want(Preparation { source, wishes })
     }
 
@@ -321,7 +351,17 @@ impl Console {
         let Some(Preparation { source, .. }) = wanted else {
             return Err("there is no file to plan; drop one".to_owned());
         };
-        self.want(Preparation { source, wishes })
+        let preparation = Preparation { source, wishes };
+        let Some(made) = self.variant_of(&preparation) else {
+            return self.want(preparation);
+        };
+        let mut preview = lock(&self.preview);
+        preview.number += 1;
+        preview.begun = preview.number;
+        preview.wanted = Some(preparation);
+        let view = preview.take(Ok(made));
+        self.change(|hub| hub.say(Topic::Preparation, &view));
+        Ok(())
     }
 
     /// Starts a preparation in a separate thread at once. The last preparation requested wins; if too many outdated
@@ -330,9 +370,13 @@ impl Console {
         let begins = {
             let mut preview = lock(&self.preview);
             preview.number += 1;
-            preview.drawing = None;
-            let view = PreparationView::working(preview.number, &preparation.source.name, &preparation.wishes);
+            preview.made = None;
+            let is_same = |wanted: &Preparation| Arc::ptr_eq(&wanted.source, &preparation.source);
+            if !preview.wanted.as_ref().is_some_and(is_same) {
+                preview.photograph = None;
+            }
             preview.wanted = Some(preparation);
+            let view = preview.view();
             let begins = preview.running < PREPARATIONS_MAX;
             preview.running += usize::from(begins);
             self.change(|hub| hub.say(Topic::Preparation, &view));
@@ -365,8 +409,7 @@ impl Console {
         let result = preparation::compose(&self.config, &source.name, &wishes, &source.content);
         let mut preview = lock(&self.preview);
         if preview.number == number && preview.wanted.is_some() {
-            let view = PreparationView::of(&result, number, &source.name, &wishes);
-            preview.drawing = result.ok();
+            let view = preview.take(result);
             self.change(|hub| hub.say(Topic::Preparation, &view));
         }
         true
@@ -377,19 +420,17 @@ impl Console {
         let Some((_, drawing)) = self.preview().filter(|(number, _)| *number == preparation) else {
             return Err("this preview no longer exists");
         };
-        let idle = PreparationView {
-            state: "idle",
-            ..PreparationView::default()
-        };
         self.change(|hub| -> Result<(), &'static str> {
             hub.jobs.enqueue(drawing, pauses)?;
             hub.say_jobs();
-            hub.say(Topic::Preparation, &idle);
+            hub.say(Topic::Preparation, &PreparationView::idle());
             Ok(())
         })?;
         let mut preview = lock(&self.preview);
         if preview.number == preparation {
-            (preview.drawing, preview.wanted) = (None, None);
+            (preview.made, preview.wanted, preview.photograph) = (None, None, None);
+            drop(preview);
+            self.end_variants();
         }
         Ok(())
     }
@@ -397,7 +438,15 @@ impl Console {
     /// The prepared drawing and its number, if there is one.
     fn preview(&self) -> Option<(u64, PreparedDrawing)> {
         let preview = lock(&self.preview);
-        preview.drawing.clone().map(|drawing| (preview.number, drawing))
+        let drawing = preview.made.as_ref().map(|made| made.drawing.clone());
+        drawing.map(|drawing| (preview.number, drawing))
+    }
+
+    /// The picture of the photograph that is prepared, and its number.
+    fn photograph(&self) -> Option<(u64, Bytes)> {
+        let preview = lock(&self.preview);
+        let (view, file) = preview.photograph.as_ref()?;
+        Some((view.number, file.clone()))
     }
 }
 

@@ -5,15 +5,20 @@
 use super::jobs::PreparedDrawing;
 use super::layers::PathLayer;
 use super::page_text::for_page;
+use crate::drawing::PHOTOGRAPH_SIDE_MIN_PX;
+use crate::drawing::preparation::overview::{Overview, PhotographPart};
 use crate::drawing::preparation::prepare::prepare_with;
 use crate::drawing::preparation::source::SourceArguments;
 use crate::drawing::preparation::wire::to_wire;
 use crate::planning::planned_s;
+use axum::body::Bytes;
 use clap::{CommandFactory, Parser};
 use etherpen::config::Config;
 use etherpen::messages::PathVertex;
 use etherpen::motion::Pen;
+use image::ImageFormat;
 use serde::{Deserialize, Serialize};
+use std::io::Cursor;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicU32, Ordering};
 
@@ -45,23 +50,59 @@ pub struct PreparationView {
     pub planned_s: f64,
     /// Options requested.
     pub wishes: PageOptions,
+    /// Options requested, with the defaults of style, crop and background; `None` if they cannot be read.
+    pub explicit: Option<PageOptions>,
+    /// The photograph, and the part of it that was last drawn; `None` until it is known, and for other files.
+    pub photograph: Option<PhotographView>,
+}
+
+/// A photograph as shown on the page.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct PhotographView {
+    /// Number of its picture.
+    pub number: u64,
+    /// The part that is drawn.
+    #[serde(flatten)]
+    pub part: PhotographPart,
+    /// Least width and height of a part, pixels.
+    pub side_min_px: u32,
+}
+
+impl PhotographView {
+    /// A photograph whose picture has this number.
+    pub fn new(number: u64, part: PhotographPart) -> Self {
+        Self {
+            number,
+            part,
+            side_min_px: PHOTOGRAPH_SIDE_MIN_PX,
+        }
+    }
 }
 
 impl PreparationView {
+    /// No preparation.
+    pub fn idle() -> Self {
+        Self {
+            state: "idle",
+            ..Self::default()
+        }
+    }
+
     /// A preparation in progress.
-    pub fn working(number: u64, name: &str, wishes: &PageOptions) -> Self {
+    pub fn working(number: u64, name: &str, wishes: &PageOptions, photograph: Option<PhotographView>) -> Self {
         Self {
             state: "working",
             number,
             name: name.to_owned(),
             wishes: wishes.clone(),
+            explicit: wishes.explicit().ok(),
+            photograph,
             ..Self::default()
         }
     }
 
-    /// Result of a preparation of a file.
-    pub fn of(result: &Result<PreparedDrawing, String>, number: u64, name: &str, wishes: &PageOptions) -> Self {
-        let plain = Self::working(number, name, wishes);
+    /// This preparation when it has ended.
+    pub fn ended(self, result: Result<&PreparedDrawing, &String>) -> Self {
         match result {
             Ok(drawing) => {
                 let (pen_down_mm, pen_up_mm) = lengths_mm(&drawing.path);
@@ -72,13 +113,13 @@ impl PreparationView {
                     pen_up_mm,
                     layers: drawing.layers.iter().map(|layer| layer.name.clone()).collect(),
                     planned_s: drawing.planned_s,
-                    ..plain
+                    ..self
                 }
             }
             Err(error) => Self {
                 state: "failed",
                 error: error.clone(),
-                ..plain
+                ..self
             },
         }
     }
@@ -102,9 +143,39 @@ pub struct PageOptions {
     pub size: String,
     /// Longest drawing time, with its unit.
     pub max_time: String,
+    /// Part of a photograph that is drawn: `auto`, `head`, `subject`, `none`, or `X,Y,W,H` in pixels.
+    pub crop: String,
+    /// What is drawn of a photograph's background.
+    pub background: String,
+    /// Centre and radius of the face in a photograph, `X,Y,R` in pixels.
+    pub focus: String,
 }
 
 impl PageOptions {
+    /// These options with the defaults of style, crop and background.
+    ///
+    /// # Errors
+    /// An option cannot be read.
+    pub fn explicit(&self) -> Result<Self, String> {
+        let [style, crop, background] = options(self)?.look().map(str::to_owned);
+        Ok(Self {
+            style,
+            crop,
+            background,
+            ..self.clone()
+        })
+    }
+
+    /// These options with another style, crop and background.
+    pub fn varied([style, crop, background]: [String; 3], rest: &Self) -> Self {
+        Self {
+            style,
+            crop,
+            background,
+            ..rest.clone()
+        }
+    }
+
     /// Parses the page's options, JSON; an empty text means defaults.
     ///
     /// # Errors
@@ -118,24 +189,34 @@ impl PageOptions {
 }
 
 /// Options of the command line with their names on the page.
-const PAGE_NAMES: [(&str, &str); 3] = [
+const PAGE_NAMES: [(&str, &str); 6] = [
     ("--style", "style"),
     ("--size", "size"),
     ("--max-time", "the longest time"),
+    ("--crop", "the part"),
+    ("--background", "the background"),
+    ("--focus", "the face"),
 ];
 
-/// Styles available for photographs.
-pub fn styles() -> Vec<String> {
+/// Names that an option takes, for instance the styles of photographs.
+pub fn choices_of(option: &str) -> Vec<String> {
     let command = Options::command();
-    let style = command.get_arguments().find(|argument| argument.get_id() == "style");
-    style.map_or_else(Vec::new, |argument| {
+    let found = command.get_arguments().find(|argument| argument.get_id() == option);
+    found.map_or_else(Vec::new, |argument| {
         let values = argument.get_possible_values();
         values.iter().map(|value| value.get_name().to_owned()).collect()
     })
 }
 
 fn options(wishes: &PageOptions) -> Result<SourceArguments, String> {
-    let values = [&wishes.style, &wishes.size, &wishes.max_time];
+    let values = [
+        &wishes.style,
+        &wishes.size,
+        &wishes.max_time,
+        &wishes.crop,
+        &wishes.background,
+        &wishes.focus,
+    ];
     let mut options = SourceArguments::default();
     let mut words = Vec::new();
     for ((option, name), value) in PAGE_NAMES.into_iter().zip(values) {
@@ -182,7 +263,7 @@ struct Dropped(PathBuf);
 impl Dropped {
     fn write(name: &str, content: &[u8]) -> std::io::Result<Self> {
         let number = FILES.fetch_add(1, Ordering::Relaxed);
-        let known = ["png", "jpg", "jpeg", "svg", "csv", "gcode", "nc", "hpgl", "plt"];
+        let known = ["png", "jpg", "jpeg", "webp", "svg", "csv", "gcode", "nc", "hpgl", "plt"];
         let extension = Path::new(name)
             .extension()
             .and_then(|extension| extension.to_str())
@@ -210,11 +291,27 @@ pub fn shown_name(name: &str) -> String {
     if name.is_empty() { "drawing".to_owned() } else { name }
 }
 
+/// A file's drawing, and the photograph that it shows.
+#[derive(Clone, Debug)]
+pub struct Made {
+    /// The drawing.
+    pub drawing: PreparedDrawing,
+    /// The part of the photograph that is drawn, and a small copy of the whole as a JPEG; `None` for other files.
+    pub photograph: Option<(PhotographPart, Bytes)>,
+}
+
+/// A small copy of a photograph for the page.
+fn for_display(overview: &Overview) -> Option<(PhotographPart, Bytes)> {
+    let mut jpeg = Cursor::new(Vec::new());
+    overview.small.write_to(&mut jpeg, ImageFormat::Jpeg).ok()?;
+    Some((overview.part, jpeg.into_inner().into()))
+}
+
 /// Converts a file's content into a drawing.
 ///
 /// # Errors
 /// Why it cannot be drawn, as text for display.
-pub fn compose(config: &Config, name: &str, wishes: &PageOptions, content: &[u8]) -> Result<PreparedDrawing, String> {
+pub fn compose(config: &Config, name: &str, wishes: &PageOptions, content: &[u8]) -> Result<Made, String> {
     let name = shown_name(name);
     let options = options(wishes)?;
     let file = Dropped::write(&name, content).map_err(|cause| format!("{name} cannot be stored: {cause}"))?;
@@ -222,7 +319,7 @@ pub fn compose(config: &Config, name: &str, wishes: &PageOptions, content: &[u8]
     let prepared =
         prepare_with(&file.0, config, &options).map_err(|error| told(&error.message.replace(&stored, &name)))?;
     let path: Vec<PathVertex> = prepared.path.iter().map(to_wire).collect();
-    Ok(PreparedDrawing {
+    let drawing = PreparedDrawing {
         name,
         strokes: path.iter().map(|vertex| vertex.stroke + 1).max().unwrap_or(0),
         path: path.into(),
@@ -232,6 +329,10 @@ pub fn compose(config: &Config, name: &str, wishes: &PageOptions, content: &[u8]
             .map(|(name, end)| PathLayer { name, end })
             .collect(),
         planned_s: planned_s(config, &prepared.path),
+    };
+    Ok(Made {
+        drawing,
+        photograph: prepared.overview.as_ref().and_then(for_display),
     })
 }
 
@@ -260,7 +361,9 @@ mod tests {
     fn a_dropped_list_of_coordinates_becomes_a_drawing_and_its_file_goes() {
         let file = crate::setup::workspace().join("samples/strokes.csv");
         let content = std::fs::read(file).unwrap();
-        let drawing = compose(&Config::default(), "strokes.csv", &PageOptions::default(), &content).unwrap();
+        let made = compose(&Config::default(), "strokes.csv", &PageOptions::default(), &content).unwrap();
+        let drawing = made.drawing;
+        assert!(made.photograph.is_none());
         assert!(drawing.strokes > 0 && drawing.planned_s > 0.0);
         let (down_mm, up_mm) = lengths_mm(&drawing.path);
         assert!(down_mm > 10.0 && up_mm > 0.0);
@@ -283,21 +386,33 @@ mod tests {
 
     #[test]
     fn wishes_are_read_as_on_the_command_line_and_errors_name_the_pages_fields() {
-        let wishes = |style: &str, size: &str, max_time: &str| PageOptions {
-            style: style.to_owned(),
-            size: size.to_owned(),
-            max_time: max_time.to_owned(),
-        };
-        assert!(options(&wishes("hatch", "90mm", "2m")).is_ok());
-        assert!(options(&PageOptions::default()).is_ok());
+        let wishes = |text: &str| PageOptions::parse(text).unwrap();
+        let all =
+            r#"{"style":"hatch","size":"90mm","max_time":"2m","crop":"head","background":"keep","focus":"9,9,5"}"#;
+        assert_eq!(options(&wishes(all)).unwrap().look(), ["hatch", "head", "keep"]);
+        let plain = PageOptions::default().explicit().unwrap();
+        assert_eq!(
+            [&*plain.style, &*plain.crop, &*plain.background],
+            ["sketch", "auto", "fade"]
+        );
+        assert_eq!((&*plain.size, &*plain.focus), ("", ""));
         for (wrong, field) in [
-            (wishes("", "ninety", ""), "size: "),
-            (wishes("watercolour", "90mm", ""), "style: "),
-            (wishes("hatch", "", "soon"), "the longest time: "),
+            (r#"{"size":"ninety"}"#, "size: "),
+            (r#"{"style":"watercolour","size":"90mm"}"#, "style: "),
+            (r#"{"style":"hatch","max_time":"soon"}"#, "the longest time: "),
+            (r#"{"crop":"feet"}"#, "the part: "),
+            (r#"{"crop":"NaN,0,10,10"}"#, "the part: "),
+            (r#"{"crop":"0,0,1e999,10"}"#, "the part: "),
+            (r#"{"crop":"0,0,-5,10"}"#, "the part: "),
+            (r#"{"crop":"0,0,10"}"#, "the part: "),
+            (r#"{"background":"blur"}"#, "the background: "),
+            (r#"{"focus":"inf,0,10"}"#, "the face: "),
+            (r#"{"crop":"head","focus":"1,2,0"}"#, "the face: "),
         ] {
-            let error = options(&wrong).unwrap_err();
+            let error = options(&wishes(wrong)).unwrap_err();
             println!("{error}");
             assert!(error.starts_with(field) && !error.contains("--"), "{error}");
+            assert!(wishes(wrong).explicit().is_err());
         }
         assert!(PageOptions::parse(r#"{"colour": "red"}"#).is_err() && PageOptions::parse("{").is_err());
         assert_eq!(PageOptions::parse(""), Ok(PageOptions::default()));

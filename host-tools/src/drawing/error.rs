@@ -319,13 +319,13 @@ impl fmt::Display for DrawingError {
                 side_min,
             } => write!(
                 f,
-                "--crop X,Y,W,H leaves less than {side_min} x {side_min} pixels of it; the upright picture has {width} x \
-                 {height} pixels"
+                "its window (--crop X,Y,W,H) leaves less than {side_min} x {side_min} pixels of it; the upright picture has \
+                 {width} x {height} pixels"
             ),
             Self::BadFocus { width, height } => write!(
                 f,
-                "--focus X,Y,R is not a face in it: the centre has to be inside the upright picture of {width} x {height} \
-                 pixels, and the radius at most its diagonal"
+                "the given circle (--focus X,Y,R) is not a face in it: the centre has to be inside the upright picture of \
+                 {width} x {height} pixels, and the radius at most its diagonal"
             ),
             Self::BadRotation => write!(f, "a photograph is turned by 90, 180 or 270 degrees"),
             Self::NothingDrawn => write!(

@@ -54,6 +54,7 @@ pub use input::{Input, load, load_content, load_with, read_file};
 pub use length::{parse_duration_s, parse_length_mm, parse_point_mm, parse_size_mm};
 pub use order::{OrderOptions, OrderReport, order, order_with_effort};
 pub use path::{from_path, to_path};
+pub(crate) use photo::SIDE_MIN as PHOTOGRAPH_SIDE_MIN_PX;
 pub use preview::PreviewScene;
 pub(crate) use raster::Plane;
 pub(crate) use render::draw_line;

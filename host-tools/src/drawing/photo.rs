@@ -16,7 +16,7 @@ const PIXEL_BYTES_MAX: u64 = 8;
 /// Memory of a decoder besides its pixels, bytes: rows, tables, remarks.
 const SPARE_BYTES: u64 = 16 << 20;
 /// Least number of pixels on a side.
-pub(super) const SIDE_MIN: u32 = 16;
+pub(crate) const SIDE_MIN: u32 = 16;
 /// Start of a scan and end of the picture in a JPEG file.
 const JPEG_SCAN: [u8; 2] = [0xFF, 0xDA];
 const JPEG_END: [u8; 2] = [0xFF, 0xD9];

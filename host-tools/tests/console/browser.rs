@@ -232,10 +232,45 @@ impl Browser {
         );
     }
 
+    /// Drags from one place of the window to another, with a finger or with the mouse.
+    pub(crate) fn drag(&mut self, by_finger: bool, from: [f64; 2], to: [f64; 2]) {
+        const STEPS: u32 = 8;
+        let at = |step: u32| [0, 1].map(|k| from[k] + (to[k] - from[k]) * f64::from(step) / f64::from(STEPS));
+        for step in 0..=STEPS {
+            let [x, y] = at(step);
+            if by_finger {
+                let kind = if step == 0 { "touchStart" } else { "touchMove" };
+                let params = json!({"type": kind, "touchPoints": [{"x": x, "y": y}]});
+                self.call("Input.dispatchTouchEvent", params);
+            } else if step == 0 {
+                self.mouse(true, from);
+            } else {
+                let params = json!({"type": "mouseMoved", "x": x, "y": y, "button": "left", "buttons": 1});
+                self.call("Input.dispatchMouseEvent", params);
+            }
+        }
+        if by_finger {
+            let params = json!({"type": "touchEnd", "touchPoints": []});
+            self.call("Input.dispatchTouchEvent", params);
+        } else {
+            self.mouse(false, to);
+        }
+    }
+
     /// Presses and releases a key, wherever the focus is.
     pub(crate) fn key(&mut self, key: &str, code: u32) {
+        self.key_with(0, key, code);
+    }
+
+    /// Presses and releases a key while Shift is held.
+    pub(crate) fn shift_key(&mut self, key: &str, code: u32) {
+        self.key_with(8, key, code);
+    }
+
+    fn key_with(&mut self, modifiers: u32, key: &str, code: u32) {
         for kind in ["rawKeyDown", "keyUp"] {
-            let params = json!({"type": kind, "key": key, "code": key, "windowsVirtualKeyCode": code});
+            let params =
+                json!({"type": kind, "modifiers": modifiers, "key": key, "code": key, "windowsVirtualKeyCode": code});
             self.call("Input.dispatchKeyEvent", params);
         }
     }

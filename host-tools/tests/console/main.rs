@@ -5,6 +5,8 @@ mod client;
 mod hostile;
 mod layers;
 mod page;
+mod photograph;
+mod photograph_page;
 mod preparation;
 mod protocol;
 mod resumed;

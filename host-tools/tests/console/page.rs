@@ -10,7 +10,7 @@ use serde_json::json;
 /// Requests new pictures.
 const RENEW: &str = "ETHERPEN_RENEW_SCREENSHOTS";
 pub(crate) const DESKTOP: (u32, u32) = (1600, 1000);
-const PHONE: (u32, u32) = (390, 844);
+pub(crate) const PHONE: (u32, u32) = (390, 844);
 
 /// A few strokes that take some seconds.
 pub(crate) fn short_drawing() -> String {
@@ -287,10 +287,14 @@ fn the_documentations_pictures_are_renewed_when_asked() {
     begin(browser, &rig);
     let photograph = std::fs::read(host_tools::setup::workspace().join("samples/astronaut.png")).unwrap();
     drop_file(browser, "astronaut.png", &photograph);
+    let docs = host_tools::setup::workspace().join("docs");
+    browser.press("#vary");
+    browser.until("etherpen.link.state.variants.state === 'ready'");
+    browser.value("{ scrollTo(0, 0); }");
+    browser.screenshot(&docs.join("console-photograph.png"), DESKTOP.0, Some(1_110));
     browser.press("#enqueue");
     browser.press("#queue button.primary");
     browser.until("etherpen.link.state.progress?.executed_mm > 0.42 * etherpen.link.state.progress.total_mm");
-    let docs = host_tools::setup::workspace().join("docs");
     browser.screenshot(&docs.join("console.png"), DESKTOP.0, None);
     browser.dark(true);
     browser.screenshot(&docs.join("console-dark.png"), DESKTOP.0, None);

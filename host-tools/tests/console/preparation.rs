@@ -164,7 +164,7 @@ fn every_wish_replans_the_file_and_the_last_one_wins() {
     let ready = browser.value("ready");
     assert_eq!(
         ready.as_array().unwrap().last(),
-        Some(&json!({"style": "hatch", "size": "85mm", "max_time": "20s"})),
+        Some(&json!({"style": "hatch", "size": "85mm", "max_time": "20s", "crop": "", "background": "", "focus": ""})),
         "{ready}"
     );
 

@@ -393,6 +393,11 @@ impl Viewer {
                     self.refuse(&why);
                 }
             }
+            Request::Vary => {
+                if let Err(why) = console.vary() {
+                    self.refuse(&why);
+                }
+            }
             Request::Enqueue { preparation, pauses } => {
                 if let Err(why) = console.enqueue(preparation, pauses) {
                     self.refuse(why);

@@ -8,7 +8,7 @@ use super::{CLOSE_POLICY, Viewer, Watched, You};
 use crate::console::capture::Caught;
 use crate::console::history::Decimator;
 use crate::console::lock;
-use crate::console::messages::{self, PathUse, section};
+use crate::console::messages::{self, PathUse, PictureUse, section};
 use axum::extract::ws::{CloseFrame, Message, WebSocket};
 use etherpen::messages::PathVertex;
 use futures_util::SinkExt;
@@ -78,6 +78,9 @@ struct Sent {
     log: u64,
     job: Option<u64>,
     preview: Option<u64>,
+    photograph: Option<u64>,
+    /// Number of the last variant.
+    variant: u64,
     live: Option<Live>,
     parts: Option<Parts>,
     skipped: u64,
@@ -152,6 +155,7 @@ impl Viewer {
         drop(hub);
         messages.extend(pose.as_ref().map(text));
         self.gather_paths(sent, on_sheet, &mut messages);
+        self.gather_pictures(sent, &mut messages);
         self.gather_capture(sent, fired, &mut messages);
         let (watch, closing) = {
             let mut mail = lock(&self.mail);
@@ -202,6 +206,20 @@ impl Viewer {
         {
             sent.preview = Some(number);
             let bytes = messages::path(PathUse::Preview, number, &drawing.path, VERTICES_MAX);
+            messages.push(Message::Binary(bytes.into()));
+        }
+    }
+
+    fn gather_pictures(&self, sent: &mut Sent, messages: &mut Vec<Message>) {
+        let photograph = self.console.photograph();
+        if let Some((number, file)) = photograph.filter(|(number, _)| sent.photograph != Some(*number)) {
+            sent.photograph = Some(number);
+            let bytes = messages::picture(PictureUse::Photograph, number, &file);
+            messages.push(Message::Binary(bytes.into()));
+        }
+        for (number, file) in self.console.variants_since(sent.variant) {
+            sent.variant = number;
+            let bytes = messages::picture(PictureUse::Variant, number, &file);
             messages.push(Message::Binary(bytes.into()));
         }
     }

@@ -1,6 +1,7 @@
 //! Converts a file's content into strokes on the sheet, in the order of drawing.
 
 use super::choose_order::choose_order;
+use super::overview::{Overview, PhotographPart, small_copy};
 use super::source::SourceArguments;
 use super::time_budget;
 use super::wire::as_sent;
@@ -20,6 +21,8 @@ use std::path::Path;
 pub struct Composed {
     /// The source picture, and its place on the sheet: left, top, width and height, mm.
     pub photograph: Option<(RgbImage, [f64; 4])>,
+    /// The whole photograph, of which the source picture is a part.
+    pub overview: Option<Overview>,
     /// Layers and their strokes in the order of drawing; empty for a path in the robot's frame.
     pub parts: Vec<(Layer, Drawing)>,
     /// The path in the robot's frame, coordinates as the link carries them, without repetitions.
@@ -51,7 +54,7 @@ pub(crate) fn compose_content(
     options: &SourceArguments,
 ) -> Result<Composed, ProgramError> {
     let refused = |cause: DrawingError| unusable(file, &cause);
-    let mut photograph = None;
+    let (mut photograph, mut overview) = (None, None);
     let mut parts = Vec::new();
     let mut known_s = None;
     let path = match load_content(file, content, &options.font()).map_err(refused)? {
@@ -59,6 +62,7 @@ pub(crate) fn compose_content(
             let made = from_photograph(picture, config, options).map_err(refused)?;
             made.remarks.iter().for_each(|text| eprintln!("etherpen: {text}"));
             photograph = Some((made.picture, made.place_mm));
+            overview = Some(made.overview);
             known_s = made.planned_s;
             parts.push((Layer::default(), made.drawing));
             Vec::new()
@@ -92,6 +96,7 @@ pub(crate) fn compose_content(
     }
     Ok(Composed {
         photograph,
+        overview,
         parts,
         // The checked path is the one that is sent.
         path: as_sent(&path),
@@ -124,6 +129,8 @@ pub(crate) struct FromPhotograph {
     pub(crate) picture: RgbImage,
     /// Its place on the sheet: left, top, width and height, mm.
     pub(crate) place_mm: [f64; 4],
+    /// The whole rotated picture.
+    pub(crate) overview: Overview,
     /// The strokes.
     pub(crate) drawing: Drawing,
     /// Planned duration of the strokes in this order, s, if a drawing time was requested.
@@ -140,7 +147,14 @@ pub(crate) fn from_photograph(
 ) -> Result<FromPhotograph, DrawingError> {
     let source = options;
     let options = source.vectorize_options(config);
-    let (picture, subject, remarks) = part_of(turned(picture, source)?, source.crop(), &options)?;
+    let whole = turned(picture, source)?;
+    let small = small_copy(&whole);
+    let Part {
+        picture,
+        subject,
+        part,
+        remarks,
+    } = part_of(whole, source.crop(), &options)?;
     let place_mm = options.picture_mm(picture.width(), picture.height())?;
     let timed = match source.time_budget_s() {
         None => None,
@@ -155,6 +169,7 @@ pub(crate) fn from_photograph(
     Ok(FromPhotograph {
         picture,
         place_mm,
+        overview: Overview { part, small },
         drawing,
         planned_s,
         remarks,
@@ -173,20 +188,33 @@ pub(super) fn turned(picture: RgbImage, options: &SourceArguments) -> Result<Rgb
     Ok(picture)
 }
 
-/// The part of a photograph that is drawn, its subject, and remarks for the person who asked for it.
-pub(super) fn part_of(
-    picture: RgbImage,
-    crop: Crop,
-    options: &VectorizeOptions,
-) -> Result<(RgbImage, Subject, Vec<String>), DrawingError> {
+/// The part of a photograph that is drawn.
+pub(super) struct Part {
+    /// Its pixels.
+    pub(super) picture: RgbImage,
+    /// Its subject.
+    pub(super) subject: Subject,
+    /// Its place in the photograph.
+    pub(super) part: PhotographPart,
+    /// Remarks for the person who asked for it.
+    pub(super) remarks: Vec<String>,
+}
+
+/// Cuts the part of a photograph that is drawn.
+pub(super) fn part_of(picture: RgbImage, crop: Crop, options: &VectorizeOptions) -> Result<Part, DrawingError> {
     let size_px @ [width, height] = [picture.width(), picture.height()];
     if options.focus.is_some_and(|focus| !is_in(focus, size_px.map(f64::from))) {
         return Err(DrawingError::BadFocus { width, height });
     }
     let subject = Subject::of(&picture, options.focus);
+    let face_px = subject
+        .faces
+        .first()
+        .map(|face| [face.centre[0], face.centre[1], face.radius]);
+    let mut window_px = [0, 0, width, height];
     let room_mm = options.room_mm();
     let mut remarks = Vec::new();
-    let (part, subject) = match subject.window(size_px, crop, room_mm, options.pen_width_mm) {
+    let (picture, subject) = match subject.window(size_px, crop, room_mm, options.pen_width_mm) {
         Some(window) if window[2].min(window[3]) >= SIDE_MIN => {
             if crop == Crop::Auto {
                 let [left, top, width, height] = window;
@@ -195,6 +223,7 @@ pub(super) fn part_of(
                      whole picture; --crop none draws everything"
                 ));
             }
+            window_px = window;
             subject.cut(&picture, window)
         }
         Some(_) if matches!(crop, Crop::Window(_)) => {
@@ -206,14 +235,23 @@ pub(super) fn part_of(
         }
         _ => (picture, subject),
     };
-    let face_pens = subject.face_pens([part.width(), part.height()], room_mm, options.pen_width_mm);
+    let face_pens = subject.face_pens([picture.width(), picture.height()], room_mm, options.pen_width_mm);
     if let Some(pens) = face_pens.filter(|&pens| pens < FACE_PENS_MIN) {
         remarks.push(format!(
             "the face is only {pens:.0} pen widths wide; a likeness needs {FACE_PENS_WANTED:.0}: try --crop head, a larger \
              --size or a finer pen"
         ));
     }
-    Ok((part, subject, remarks))
+    Ok(Part {
+        picture,
+        subject,
+        part: PhotographPart {
+            size_px,
+            window_px,
+            face_px,
+        },
+        remarks,
+    })
 }
 
 /// Whether a face of this centre and radius, pixels, can be in a picture of this size.

@@ -9,6 +9,7 @@
 //! robot.
 
 use super::compose::{Composed, compose_content};
+use super::overview::{Overview, PhotographPart};
 use super::source::SourceArguments;
 use super::wire::{from_wire, to_wire};
 use crate::drawing::{Drawing, Layer};
@@ -58,12 +59,14 @@ struct Request {
     options: SourceArguments,
 }
 
-/// Answer of the process; the picture's bytes follow.
+/// Answer of the process; the bytes of the picture and of its overview follow.
 #[derive(Serialize, Deserialize)]
 enum Answer {
     Composed {
         /// Width and height of the picture, pixels, and its place on the sheet, mm.
         photograph: Option<([u32; 2], [f64; 4])>,
+        /// The part that is drawn, and width and height of the small copy, pixels.
+        overview: Option<(PhotographPart, [u32; 2])>,
         parts: Vec<(Layer, Drawing)>,
         path: Vec<PathVertex>,
         planned_s: Option<f64>,
@@ -104,17 +107,20 @@ pub(super) fn compose(
         };
         return Err(ProgramError::new(code, message));
     }
-    let (answer, picture) = unframed::<Answer>(&answer).ok_or_else(|| failed(&"its answer is damaged"))?;
+    let (answer, mut pixels) = unframed::<Answer>(&answer).ok_or_else(|| failed(&"its answer is damaged"))?;
     match answer {
         Answer::Refused { code, message } => Err(ProgramError { code, message }),
         Answer::Composed {
             photograph,
+            overview,
             parts,
             path,
             planned_s,
         } => Ok(Composed {
-            photograph: photograph.and_then(|([width, height], place_mm)| {
-                Some((RgbImage::from_raw(width, height, picture.to_vec())?, place_mm))
+            photograph: photograph.and_then(|(size, place_mm)| Some((taken(&mut pixels, size)?, place_mm))),
+            overview: overview.and_then(|(part, size)| {
+                let small = taken(&mut pixels, size)?;
+                Some(Overview { part, small })
             }),
             parts,
             path: path.iter().map(from_wire).collect(),
@@ -149,25 +155,26 @@ pub fn run() -> Result<(), ProgramError> {
         .map_err(|cause| failed(&cause))?;
     let (asked, content) = unframed::<Request>(&request).ok_or_else(|| failed(&"there is no request"))?;
     let composed = compose_content(Path::new(&asked.name), content, &asked.config, &asked.options);
-    let (answer, picture) = match composed {
+    let (answer, pixels) = match composed {
         Err(ProgramError { code, message }) => (Answer::Refused { code, message }, Vec::new()),
         Ok(composed) => {
-            let (photograph, picture) = composed.photograph.map_or((None, Vec::new()), |(picture, place_mm)| {
-                (
-                    Some(([picture.width(), picture.height()], place_mm)),
-                    picture.into_raw(),
-                )
-            });
+            let mut pixels = Vec::new();
+            let mut append = |picture: RgbImage| {
+                let (width, height) = picture.dimensions();
+                pixels.append(&mut picture.into_raw());
+                [width, height]
+            };
             let answer = Answer::Composed {
-                photograph,
+                photograph: (composed.photograph).map(|(picture, place_mm)| (append(picture), place_mm)),
+                overview: (composed.overview).map(|overview| (overview.part, append(overview.small))),
                 parts: composed.parts,
                 path: composed.path.iter().map(to_wire).collect(),
                 planned_s: composed.planned_s,
             };
-            (answer, picture)
+            (answer, pixels)
         }
     };
-    let answer = framed(&answer, picture).map_err(|cause| failed(&cause))?;
+    let answer = framed(&answer, pixels).map_err(|cause| failed(&cause))?;
     let mut out = io::stdout().lock();
     out.write_all(&answer)
         .and_then(|()| out.flush())
@@ -187,6 +194,14 @@ fn unframed<T: DeserializeOwned>(bytes: &[u8]) -> Option<(T, &[u8])> {
     let (length, rest) = bytes.split_first_chunk::<8>()?;
     let (message, rest) = rest.split_at_checked(usize::try_from(u64::from_le_bytes(*length)).ok()?)?;
     Some((postcard::from_bytes(message).ok()?, rest))
+}
+
+/// Takes a picture of this width and height, pixels, from the front of the bytes.
+fn taken(pixels: &mut &[u8], [width, height]: [u32; 2]) -> Option<RgbImage> {
+    let bytes = usize::try_from(3 * u128::from(width) * u128::from(height)).ok()?;
+    let (picture, rest) = pixels.split_at_checked(bytes)?;
+    *pixels = rest;
+    RgbImage::from_raw(width, height, picture.to_vec())
 }
 
 /// Passes a request to a process and returns its answer.
@@ -248,6 +263,18 @@ mod tests {
         }
         let (status, answer) = shell("cat");
         assert_eq!((death(status), answer.len()), (None, 1 << 20));
+    }
+
+    #[test]
+    fn pictures_are_taken_one_after_the_other_and_never_beyond_the_end() {
+        let bytes: Vec<u8> = (0..30).collect();
+        let mut pixels = bytes.as_slice();
+        assert!(taken(&mut pixels, [u32::MAX, u32::MAX]).is_none());
+        let first = taken(&mut pixels, [3, 2]).expect("18 bytes");
+        assert_eq!((first.dimensions(), first.as_raw().as_slice()), ((3, 2), &bytes[..18]));
+        assert!(taken(&mut pixels, [5, 1]).is_none(), "12 bytes are left");
+        let second = taken(&mut pixels, [1, 4]).expect("12 bytes");
+        assert_eq!((second.as_raw().as_slice(), pixels.len()), (&bytes[18..], 0));
     }
 
     #[test]

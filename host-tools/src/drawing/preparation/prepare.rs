@@ -4,6 +4,7 @@
 
 use super::compose::{Composed, compose_content, unusable};
 use super::confined;
+use super::overview::Overview;
 use super::source::SourceArguments;
 use crate::drawing::{DrawingError, off_sheet, read_file};
 use crate::error::{ProgramError, code};
@@ -19,6 +20,8 @@ use std::path::Path;
 pub struct Prepared {
     /// The source picture, and its place on the sheet: left, top, width and height, mm.
     pub photograph: Option<(RgbImage, [f64; 4])>,
+    /// The whole photograph, of which the source picture is a part.
+    pub overview: Option<Overview>,
     /// The path in the robot's frame, every vertex admitted.
     pub path: Vec<Vertex>,
     /// Layers in the order of drawing: the name, and the number of the path's vertices up to the layer's end. Empty for
@@ -70,6 +73,7 @@ pub fn prepare_with(file: &Path, config: &Config, options: &SourceArguments) -> 
     Ok(Prepared {
         layers: layers_of(&composed),
         photograph: composed.photograph,
+        overview: composed.overview,
         path: composed.path,
     })
 }

@@ -1,6 +1,6 @@
 //! The stages from a photograph to its lines and tone, side by side in one picture.
 
-use super::compose::{part_of, turned};
+use super::compose::{Part, part_of, turned};
 use super::grid::side_by_side;
 use super::source::SourceArguments;
 use crate::drawing::{DrawingError, panels};
@@ -14,8 +14,8 @@ use image::RgbImage;
 /// Errors of the vectoriser for this photograph and these options.
 pub(crate) fn stages(picture: RgbImage, config: &Config, source: &SourceArguments) -> Result<Vec<u8>, DrawingError> {
     let options = source.vectorize_options(config);
-    let (part, subject, _) = part_of(turned(picture, source)?, source.crop(), &options)?;
-    let panels = panels(&part, &subject, &options)?;
+    let Part { picture, subject, .. } = part_of(turned(picture, source)?, source.crop(), &options)?;
+    let panels = panels(&picture, &subject, &options)?;
     let count = panels.len();
     side_by_side(
         count,

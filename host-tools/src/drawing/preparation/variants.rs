@@ -3,7 +3,7 @@
 use super::compose::from_photograph;
 use super::grid::side_by_side;
 use super::source::SourceArguments;
-use crate::drawing::{Drawing, DrawingError, render_rgb};
+use crate::drawing::{Crop, Drawing, DrawingError, render_rgb};
 use etherpen::config::Config;
 use image::RgbImage;
 
@@ -43,6 +43,20 @@ impl Variant {
     }
 }
 
+/// Style, crop and background of the variants of a photograph, in the order in which they are tried; the first are those
+/// asked for. A window given in pixels stays in all of them.
+pub(crate) fn looks(asked: [&str; 3]) -> Vec<[String; 3]> {
+    let window = matches!(Crop::parse(asked[1]), Ok(Crop::Window(_))).then_some(asked[1]);
+    let mut looks = vec![asked.map(str::to_owned)];
+    for [style, crop, background] in LOOKS {
+        let look = [style, window.unwrap_or(crop), background].map(str::to_owned);
+        if !looks.contains(&look) {
+            looks.push(look);
+        }
+    }
+    looks
+}
+
 /// At most `count` drawings of a photograph, the first of them `drawing`, which `source` asks for. Options that lead to the
 /// lines of an earlier one are left out: a head that fills the picture is not cropped.
 ///
@@ -56,7 +70,11 @@ pub(crate) fn variants_of(
     count: usize,
 ) -> Result<Vec<Variant>, DrawingError> {
     let mut variants = vec![Variant::new(source.look(), drawing)];
-    for look in LOOKS.into_iter().filter(|look| *look != source.look()) {
+    for look in looks(source.look())
+        .iter()
+        .skip(1)
+        .map(|look| look.each_ref().map(String::as_str))
+    {
         if variants.len() >= count {
             break;
         }
@@ -84,4 +102,29 @@ pub(crate) fn contact_sheet(variants: &[Variant], pen_width_mm: f64) -> Result<V
 /// Options without those that have their default.
 fn short(options: &str) -> String {
     options.replace(" --crop auto", "").replace(" --background fade", "")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_look_asked_for_comes_first_a_window_stays_and_none_is_repeated() {
+        for asked in [
+            ["sketch", "auto", "fade"],
+            ["tsp", "head", "keep"],
+            ["flow", "10,20,300,400", "none"],
+        ] {
+            let looks = looks(asked);
+            assert_eq!(
+                looks.first().map(|look| look.each_ref().map(String::as_str)),
+                Some(asked)
+            );
+            assert!(looks.len() > 6, "{asked:?}: {}", looks.len());
+            for (index, look) in looks.iter().enumerate() {
+                assert!(!looks[..index].contains(look), "{look:?}");
+                assert!(!asked[1].contains(',') || look[1] == asked[1], "{look:?}");
+            }
+        }
+    }
 }

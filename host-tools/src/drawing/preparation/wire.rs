@@ -17,7 +17,7 @@ pub fn to_wire(vertex: &Vertex) -> PathVertex {
 }
 
 /// A vertex of the link, in millimetres.
-pub(super) fn from_wire(wire: &PathVertex) -> Vertex {
+pub(crate) fn from_wire(wire: &PathVertex) -> Vertex {
     let [x_mm, y_mm, z_mm] = wire.position_um.map(|um| f64::from(um) / 1_000.0);
     Vertex {
         position: Position { x_mm, y_mm, z_mm },
