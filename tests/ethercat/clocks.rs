@@ -61,6 +61,7 @@ again! {
     disturbances [crate::disturbances]
         an_unused_slave_with_an_error_keeps_no_drive_from_operation,
         a_terminal_that_falls_during_the_bring_up_is_named_alone_and_comes_back,
+        a_terminal_that_loses_its_power_during_the_bring_up_keeps_no_drive_from_operation,
         a_drive_that_leaves_its_state_during_the_bring_up_is_named_and_the_next_try_comes_unasked,
         the_drives_exchange_data_soon_after_safeop_and_operate_before_a_terminal_is_configured,
         a_terminal_that_lost_its_power_is_told_when_it_is_back;

@@ -111,6 +111,36 @@ pub(crate) fn a_terminal_that_falls_during_the_bring_up_is_named_alone_and_comes
 }
 
 #[test]
+pub(crate) fn a_terminal_that_loses_its_power_during_the_bring_up_keeps_no_drive_from_operation() {
+    const CHAIN: &str = "ax2000*4,el1008,cia402@name=other,el2004";
+    const TERMINAL: usize = AXES + 1;
+    let whole_ms = undisturbed_ms(CHAIN, SlaveSet::ALL);
+    for (moment, off_ms) in (0..MOMENTS).flat_map(|moment| [(moment, 60), (moment, 400)]) {
+        let at_ms = whole_ms * moment / MOMENTS;
+        let what = format!("off for {off_ms} ms at {at_ms} of {whole_ms} ms");
+        let mut rig = rig_of(CHAIN, SlaveSet::ALL).started();
+        rig.run_ms(at_ms as u32);
+        rig.cell.inject(Fault::Power(TERMINAL + 1, off_ms));
+        rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+        rig.assert_drives_operate(&what);
+        // While the slaves are being found, a change of the chain begins it anew.
+        let is_later = |step: &Step| !matches!(step, Step::Discover | Step::Reset | Step::Address | Step::Identify);
+        let refusals = rig.refusals();
+        assert!(
+            !refusals.iter().any(|(_, step, _)| is_later(step)),
+            "{what}: {refusals:?}"
+        );
+        rig.run_ms(1_000);
+        if rig.al_state_of(TERMINAL) != AlState::Operational {
+            rig.recover();
+            rig.operational();
+        }
+        assert_eq!(rig.al_state_of(TERMINAL), AlState::Operational, "{what}");
+        rig.assert_drives_operate(&what);
+    }
+}
+
+#[test]
 pub(crate) fn a_drive_that_leaves_its_state_during_the_bring_up_is_named_and_the_next_try_comes_unasked() {
     const DRIVE: usize = 1;
     let whole_ms = undisturbed_ms("ax2000*4", SlaveSet::NONE);

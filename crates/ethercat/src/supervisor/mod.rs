@@ -174,6 +174,8 @@ pub struct Supervisor<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     look_next: u8,
     /// Whether the lost link of the running bus was reported.
     port_missed: bool,
+    /// Slaves that answer during a bring-up without an address: one that was lost meanwhile is back.
+    strangers: u16,
 }
 
 impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<'a, F, SLAVES, MESSAGE> {
@@ -201,6 +203,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 port: PortState::Unknown,
             },
             port_missed: false,
+            strangers: 0,
             phase: Phase::Stopped,
             slaves_sorted: 0,
             changed_ms: None,
@@ -281,7 +284,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
 
     /// Brings the whole bus up, unless a slave's file is being transferred.
     async fn start(&mut self) {
-        (self.phase, self.changed_ms) = (Phase::Failed, None);
+        (self.phase, self.changed_ms, self.strangers) = (Phase::Failed, None, 0);
         self.slaves_sorted = self.inbox.slaves();
         if let Some(number) = self.bus.transferring().await {
             self.bus.refuse_for_file(number).await;
@@ -403,6 +406,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                     if self.bus.disturbed_member().is_some() || self.inbox.port.is_down() {
                         return Err(Interruption::Bus);
                     }
+                    self.strangers = self.inbox.slaves().saturating_sub(self.bus.present());
                     if let Some((number, failure)) = number.and_then(|number| self.bus.left_terminal(number)) {
                         self.bus.refuse_terminal(number, failure).await;
                         return Ok(Ok(()));
@@ -427,24 +431,33 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
     }
 
     async fn set_up_clocks(&mut self) -> Result<Result<(), Failure>, Interruption> {
+        let expected = self.expected(SLAVES);
         let Self { bus, inbox, .. } = self;
-        let expected = bus.expectation(Some(SLAVES));
         let work = pin!(bus.set_up_clocks());
         inbox.guard(expected, Work::Exclusive, work).await
     }
 
     async fn reach_safe_operational(&mut self, number: usize) -> Result<Result<(), Failure>, Interruption> {
+        let expected = self.expected(number);
         let Self { bus, inbox, .. } = self;
-        let expected = bus.expectation(Some(number));
         let work = pin!(bus.reach_safe_operational(number));
         inbox.guard(expected, Work::Exclusive, work).await
     }
 
     async fn reach_operational(&mut self, number: usize) -> Result<Result<(), Failure>, Interruption> {
+        let expected = self.expected(number);
         let Self { bus, inbox, .. } = self;
-        let expected = bus.expectation(Some(number));
         let work = pin!(bus.reach_operational(number));
         inbox.guard(expected, Work::Exclusive, work).await
+    }
+
+    /// What the critical side should see while a slave is brought to a state.
+    fn expected(&self, worked_on: usize) -> Expectation {
+        let expected = self.bus.expectation(Some(worked_on));
+        Expectation {
+            slaves: expected.slaves.map(|slaves| slaves.saturating_add(self.strangers)),
+            ..expected
+        }
     }
 
     /// Watches the bus for one millisecond.
