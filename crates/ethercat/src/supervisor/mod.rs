@@ -285,6 +285,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
     /// Brings the whole bus up, unless a slave's file is being transferred.
     async fn start(&mut self) {
         (self.phase, self.changed_ms, self.strangers) = (Phase::Failed, None, 0);
+        self.bus.has_lost = false;
         self.slaves_sorted = self.inbox.slaves();
         if let Some(number) = self.bus.transferring().await {
             self.bus.refuse_for_file(number).await;
@@ -309,9 +310,11 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                     BusError::SlaveCount { actual, .. } => actual,
                     _ => self.inbox.slaves(),
                 };
-                // A slave that was too slow may answer the next time, although the chain does not change.
+                // A slave that was too slow may answer the next time, although the chain does not change; and one that was
+                // lost meanwhile may be back already.
                 self.was_slow = is_too_slow(&failure.error);
-                self.changed_ms = self.was_slow.then_some(self.bus.port.now_ms());
+                let is_tried_again = self.was_slow || self.bus.has_lost;
+                self.changed_ms = is_tried_again.then_some(self.bus.port.now_ms());
                 self.bus.refuse(failure).await;
             }
             Err(Interruption::Command) => {}
@@ -322,7 +325,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 let left = self.bus.disturbed_member();
                 // One that is there may stay in its state the next time.
                 self.was_slow = left.is_some_and(|(_, report)| report.is_flagged());
-                self.changed_ms = self.was_slow.then_some(self.bus.port.now_ms());
+                let is_tried_again = self.was_slow || self.bus.has_lost;
+                self.changed_ms = is_tried_again.then_some(self.bus.port.now_ms());
                 let error = BusError::SlaveCount {
                     expected: self.bus.slaves.len() as u16,
                     actual: self.inbox.slaves(),
