@@ -1,6 +1,5 @@
 //! One CiA 402 drive without a robot: power on, one turn of the motor in each direction, power off. A drive that is
-//! lost meanwhile is recovered and goes on. **Set the numbers of your drive in `drive` first**: with others the motor turns at
-//! another speed.
+//! lost meanwhile is recovered and goes on. **Set the numbers in `drive` first**: with others the motor turns faster or slower.
 //!
 //! Emulated board: `cargo build --release -p etherpen --target thumbv7em-none-eabihf --no-default-features --features
 //! emulated --example drive`. Linux: `cargo run --example drive -- eth1`.
@@ -62,8 +61,9 @@ fn run(platform: &mut Platform) {
         if group.renew() {
             axis.adopt(group.drive(0).as_ref(), &drive, &LIMITS);
         }
-        if let Some(input) = group.read(0) {
-            axis.take(&input);
+        let input = group.read(0);
+        if let Some(input) = &input {
+            axis.take(input);
             on_ms += u32::from(axis.state() == DriveState::OperationEnabled);
         }
         let (target, speed_rad_s) = match on_ms / TURN_MS {
@@ -72,8 +72,8 @@ fn run(platform: &mut Platform) {
             2 => (DriveTarget::Enabled, 0.0),
             _ => (DriveTarget::Off, 0.0),
         };
-        if target == DriveTarget::Off && axis.state() != DriveState::OperationEnabled && !ends {
-            // Out of OP first: the drive's watchdog is no fault then.
+        let has_power = input.is_some() && axis.state() == DriveState::OperationEnabled;
+        if target == DriveTarget::Off && !has_power && !ends {
             ends = application.commands.enqueue(BusCommand::Stop).is_ok();
         }
         group.write(0, &axis.set_velocity(target, speed_rad_s));

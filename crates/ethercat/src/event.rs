@@ -226,7 +226,7 @@ pub enum BusEvent {
         report: AlReport,
     },
     /// A slave in use that was lost is in the chain again, in INIT without its address, and waits for
-    /// [`BusCommand::Recover`]. Told again when the chain changes meanwhile.
+    /// [`BusCommand::Recover`]. Told again when the chain has changed, and after a repair that did not bring it back.
     Returned {
         /// Place in the chain, from 0.
         position: u8,

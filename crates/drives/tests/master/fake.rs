@@ -389,7 +389,6 @@ impl FakeSegment {
         }
     }
 
-    /// Sends a frame through the connected slaves, in place.
     /// Lets a millisecond pass.
     pub(crate) fn millisecond(&mut self) {
         for slave in &mut self.slaves {
@@ -400,6 +399,7 @@ impl FakeSegment {
         }
     }
 
+    /// Sends a frame through the connected slaves, in place.
     pub(crate) fn process(&mut self, frame: &mut [u8]) {
         let payload = FrameView::new_checked(frame).unwrap().payload().to_vec();
         let mut chain = Datagrams::new(&payload);

@@ -413,6 +413,9 @@ fn with_flags(slave: &mut FakeSlave, flags: u8) {
     slave.sii.extend([0xFF; 4]);
 }
 
+/// No flag of the SII: stands for bit 9 of the features.
+const NO_LRW: u8 = 0xFF;
+
 #[test]
 fn inputs_and_outputs_travel_apart_if_a_slave_in_use_does_not_support_them_together() {
     let (together, apart) = (ExchangeKind::Combined, ExchangeKind::Split);
@@ -422,6 +425,8 @@ fn inputs_and_outputs_travel_apart_if_a_slave_in_use_does_not_support_them_toget
         (3, 1 << 1, SlaveSet::NONE, apart),
         (4, 1 << 1, SlaveSet::of(4), apart),
         (4, 1 << 1, SlaveSet::NONE, together),
+        // In the features of its controller.
+        (1, NO_LRW, SlaveSet::NONE, apart),
     ];
     for (place, flags, terminals, expected) in cases {
         let mut segment = FakeSegment::drives(4);
@@ -430,7 +435,10 @@ fn inputs_and_outputs_travel_apart_if_a_slave_in_use_does_not_support_them_toget
             with_flags(slave, 0);
         }
         segment.slaves[place].sii.truncate(128);
-        with_flags(&mut segment.slaves[place], flags);
+        match flags {
+            NO_LRW => segment.slaves[place].memory[usize::from(register::FEATURES) + 1] |= 1 << 1,
+            flags => with_flags(&mut segment.slaves[place], flags),
+        }
         let setup = BusSetup {
             exchange: ExchangeKind::Combined,
             terminals,
