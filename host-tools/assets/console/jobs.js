@@ -49,6 +49,8 @@ function dropped(link, fields) {
     if (!kept || sending || !link.controls) return;
     const file = kept;
     [sending, refused] = [true, ""];
+    // While the file waited, another viewer's frame may have come into the fields.
+    fields.forget();
     show();
     const answer = await link.upload(file, JSON.stringify(fields.wishes())).catch(() => null);
     sending = false;

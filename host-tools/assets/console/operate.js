@@ -190,6 +190,8 @@ function jog(link) {
     releaseAll();
   });
   addEventListener("keydown", (event) => {
+    const typing = event.target.matches?.("input:not([type=range]), textarea");
+    if (typing || event.ctrlKey || event.altKey || event.metaKey) return;
     if (toggle.getAttribute("aria-pressed") !== "true" || !arrows[event.key]) return;
     event.preventDefault();
     if (!event.repeat) press(event.key, arrows[event.key]);
