@@ -150,15 +150,12 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         (order.collect(), numbers(false).count())
     }
 
-    /// Whether a member has left its state or is lost.
-    pub(super) fn has_disturbed_member(&self) -> bool {
-        let mut members = self.slaves.iter().filter(|slave| slave.member.is_some());
-        members.any(|slave| matches!(slave.condition, Condition::Lost | Condition::LeftOperational))
-    }
-
-    /// The first member that is there and has left its state, with its place in the chain and its report.
-    pub(super) fn left_member(&self) -> Option<(u16, AlReport)> {
-        let has_left = |slave: &&Slave<F>| slave.member.is_some() && slave.condition == Condition::LeftOperational;
+    /// The first member that has left its state or is lost, with its place in the chain and its last report.
+    pub(super) fn disturbed_member(&self) -> Option<(u16, AlReport)> {
+        let has_left = |slave: &&Slave<F>| {
+            let is_away = matches!(slave.condition, Condition::Lost | Condition::LeftOperational);
+            slave.member.is_some() && is_away
+        };
         self.slaves
             .iter()
             .find(has_left)

@@ -4,7 +4,7 @@
 //! passes the critical side its plan, takes the members to OP while cyclic data are already exchanged, and then watches
 //! for slaves that vanish, return, are plugged in or leave OP. A repair, started by [`BusCommand::Recover`], brings a
 //! slave back while the others continue. A bring-up that failed is repeated by itself once the chain has changed, or after a
-//! pause if a slave was too slow or had left its state. In between, the supervisor carries out service requests
+//! pause if a slave was too slow. In between, the supervisor carries out service requests
 //! ([`diagnostics`](super::diagnostics)), even on a bus that was not brought up. Every failed step is reported with
 //! slave, step and reason.
 //!
@@ -53,7 +53,7 @@ pub const LINK_TIMEOUT_MS: u32 = 5_000;
 const REPAIR_TRIES_MAX: u8 = 3;
 /// How long a chain that has changed after a failed bring-up has to be stable before the next one, ms.
 const CHANGED_MS: u32 = 100;
-/// Pause before the next bring-up after one in which a slave was too slow or left its state, ms. Each request that names a slave begins it anew.
+/// Pause before the next bring-up after one in which a slave was too slow, ms. Each request that names a slave begins it anew.
 const SLOW_MS: u32 = 5_000;
 /// How often these times are doubled, so that a loose contact does not restart the drives again and again.
 const DOUBLED_MAX: u8 = 8;
@@ -125,7 +125,7 @@ impl Failure {
     }
 }
 
-/// A guarded step of the bring-up after the slaves are found: their clocks, or one slave to one state.
+/// A guarded step of the bring-up, once the slaves are found; each of the others brings a slave to a state.
 #[derive(Clone, Copy, Debug)]
 enum BringUpStep {
     Clocks,
@@ -161,11 +161,10 @@ pub struct Supervisor<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     phase: Phase,
     /// Number of slaves at the last rescan, or at the failed bring-up.
     slaves_sorted: u16,
-    /// From when on the pause before the next bring-up counts: when that number changed, or when a bring-up failed that may
-    /// succeed without a change; `None` without a next one.
+    /// When that number changed after the failed bring-up, or that failed because a slave was too slow; `None` otherwise.
     changed_ms: Option<u32>,
-    /// Whether the pause before the next bring-up is the long one.
-    waits_long: bool,
+    /// Whether the failed bring-up ended because a slave was too slow.
+    was_slow: bool,
     /// Bring-ups since the last command that began without one.
     retries: u8,
     /// Rescans of this number that failed, one after the other.
@@ -208,7 +207,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             phase: Phase::Stopped,
             slaves_sorted: 0,
             changed_ms: None,
-            waits_long: false,
+            was_slow: false,
             retries: 0,
             rescans_failed: 0,
             inspected_ms: 0,
@@ -225,6 +224,10 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
     /// Runs the supervisor and never returns. Poll the future once a millisecond.
     pub async fn run(&mut self) -> ! {
         loop {
+            if self.phase == Phase::Failed && self.bus.has_operational() {
+                // The bring-up ended when some slaves were in OP already.
+                self.bus.shut_down().await;
+            }
             let command = self.inbox.commands.dequeue();
             if matches!(command, Some(BusCommand::Start(_) | BusCommand::Recover)) {
                 self.retries = 0;
@@ -259,16 +262,16 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         }
     }
 
-    /// Waits a millisecond after a failed bring-up; brings the bus up once the chain has changed, or the failed one may
-    /// succeed without a change, and there are slaves enough.
+    /// Waits a millisecond after a failed bring-up; brings the bus up once the chain has changed, or a slave was too slow, and
+    /// there are slaves enough.
     async fn await_change(&mut self) {
         self.bus.port.wait_ms(1).await;
         self.inbox.observe(&Expectation::ANYTHING);
         let (there, now_ms) = (self.inbox.slaves(), self.bus.port.now_ms());
         if there != self.slaves_sorted {
-            (self.slaves_sorted, self.changed_ms, self.waits_long) = (there, Some(now_ms), false);
+            (self.slaves_sorted, self.changed_ms, self.was_slow) = (there, Some(now_ms), false);
         }
-        let pause_ms = if self.waits_long { SLOW_MS } else { CHANGED_MS };
+        let pause_ms = if self.was_slow { SLOW_MS } else { CHANGED_MS };
         let stable_ms = (pause_ms << self.retries.min(DOUBLED_MAX)).min(PAUSE_MAX_MS);
         let is_stable = self
             .changed_ms
@@ -313,8 +316,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 };
                 // A slave that was too slow may answer the next time, although the chain does not change; and one that was
                 // lost meanwhile may be back already.
-                self.waits_long = is_too_slow(&failure.error);
-                let is_tried_again = self.waits_long || self.bus.has_lost;
+                self.was_slow = is_too_slow(&failure.error);
+                let is_tried_again = self.was_slow || self.bus.has_lost;
                 self.changed_ms = is_tried_again.then_some(self.bus.port.now_ms());
                 self.bus.refuse(failure).await;
             }
@@ -323,15 +326,16 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             Err(Interruption::Bus) => {
                 self.slaves_sorted = self.inbox.slaves();
                 self.bus.inspect(0..SLAVES).await;
-                let left = self.bus.left_member();
-                // Whatever it was may be over the next time. A slave that was lost may be back already.
-                self.waits_long = !self.bus.has_lost;
-                self.changed_ms = Some(self.bus.port.now_ms());
+                let left = self.bus.disturbed_member();
+                // One that is there may stay in its state the next time.
+                self.was_slow = left.is_some_and(|(_, report)| report.is_flagged());
+                let is_tried_again = self.was_slow || self.bus.has_lost;
+                self.changed_ms = is_tried_again.then_some(self.bus.port.now_ms());
                 let error = BusError::SlaveCount {
                     expected: self.bus.slaves.len() as u16,
                     actual: self.inbox.slaves(),
                 };
-                let failure = match left {
+                let failure = match left.filter(|_| self.was_slow) {
                     Some((position, report)) => {
                         Failure::of(position, Step::Watch)(report.instead_of(AlState::Operational))
                     }
@@ -339,16 +343,6 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 };
                 self.bus.refuse(failure).await;
             }
-        }
-        if self.phase == Phase::Failed {
-            self.leave_operation().await;
-        }
-    }
-
-    /// Takes all slaves in use out of OP if the bus runs, or a bring-up ended when some were there already.
-    async fn leave_operation(&mut self) {
-        if self.phase == Phase::Running || self.bus.has_operational() {
-            self.bus.shut_down().await;
         }
     }
 
@@ -389,30 +383,16 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 }
                 // Some slaves need process data soon after they have reached SAFEOP.
                 self.bus.send_plan().await;
-                self.check_members().await?;
             }
             for number in group.iter().map(|number| usize::from(*number)) {
                 if let Err(failure) = self.step(BringUpStep::Operational(number)).await? {
                     return Ok(Err(failure));
                 }
-                self.check_members().await?;
             }
-            self.bus.send_plan().await;
         }
+        self.bus.send_plan().await;
         self.bus.introduce_all().await;
         Ok(Ok(()))
-    }
-
-    /// Looks whether a member has left OP while another slave was brought to a state: an error flag that was there before hides
-    /// that.
-    async fn check_members(&mut self) -> Result<(), Interruption> {
-        if self.bus.has_operational() {
-            self.bus.inspect(0..SLAVES).await;
-        }
-        match self.bus.has_disturbed_member() {
-            true => Err(Interruption::Bus),
-            false => Ok(()),
-        }
     }
 
     /// A step of the bring-up; again after a disturbance by slaves that no member needs. A terminal that fails is refused alone.
@@ -431,8 +411,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 (Err(Interruption::Bus), number) if tries < DISTURBANCES_MAX && !self.inbox.port.is_down() => {
                     tries += 1;
                     self.bus.inspect(0..SLAVES).await;
-                    let is_empty = self.bus.present() == 0;
-                    if self.bus.has_disturbed_member() || is_empty || self.inbox.port.is_down() {
+                    if self.bus.disturbed_member().is_some() || self.inbox.port.is_down() {
                         return Err(Interruption::Bus);
                     }
                     self.strangers = self.inbox.slaves().saturating_sub(self.bus.present());
@@ -480,13 +459,11 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         inbox.guard(expected, Work::Exclusive, work).await
     }
 
-    /// What the critical side should see while a slave is brought to a state: inputs of the members alone.
+    /// What the critical side should see while a slave is brought to a state.
     fn expected(&self, worked_on: usize) -> Expectation {
         let expected = self.bus.expectation(Some(worked_on));
-        let terminals = (0..SLAVES).filter(|number| self.bus.is_terminal(*number));
         Expectation {
             slaves: expected.slaves.map(|slaves| slaves.saturating_add(self.strangers)),
-            answering: expected.answering.without(terminals.collect()),
             ..expected
         }
     }
@@ -633,7 +610,9 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
 
     /// Takes the slaves out of OP: safe outputs are sent first, then the states follow.
     async fn stop(&mut self) {
-        self.leave_operation().await;
+        if self.phase == Phase::Running {
+            self.bus.shut_down().await;
+        }
         self.phase = Phase::Stopped;
     }
 
@@ -663,7 +642,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             // A slave that erases its memory may take longer over a packet than a file may lie idle.
             bus.use_file();
         }
-        if request.slave().is_some() && self.waits_long {
+        if request.slave().is_some() && self.was_slow {
             // Whoever looks for the reason is not interrupted by the next bring-up.
             self.changed_ms = self.changed_ms.map(|_| bus.port.now_ms());
         }
