@@ -4,7 +4,7 @@
 //! passes the critical side its plan, takes the members to OP while cyclic data are already exchanged, and then watches
 //! for slaves that vanish, return, are plugged in or leave OP. A repair, started by [`BusCommand::Recover`], brings a
 //! slave back while the others continue. A bring-up that failed is repeated by itself once the chain has changed, or after a
-//! pause if a slave was too slow. In between, the supervisor carries out service requests
+//! pause if a slave was too slow, was lost, or left its state. In between, the supervisor carries out service requests
 //! ([`diagnostics`](super::diagnostics)), even on a bus that was not brought up. Every failed step is reported with
 //! slave, step and reason.
 //!
@@ -125,7 +125,7 @@ impl Failure {
     }
 }
 
-/// A guarded step of the bring-up, once the slaves are found; each of the others brings a slave to a state.
+/// A guarded step of the bring-up after the slaves are found: their clocks, or one slave to one state.
 #[derive(Clone, Copy, Debug)]
 enum BringUpStep {
     Clocks,
@@ -163,7 +163,7 @@ pub struct Supervisor<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     slaves_sorted: u16,
     /// When that number changed after the failed bring-up, or that failed because a slave was too slow; `None` otherwise.
     changed_ms: Option<u32>,
-    /// Whether the failed bring-up ended because a slave was too slow.
+    /// Whether the failed bring-up ended because a slave was too slow or showed an error: the pause is the long one.
     was_slow: bool,
     /// Bring-ups since the last command that began without one.
     retries: u8,
