@@ -86,7 +86,7 @@ impl Io {
         }
     }
 
-    /// Whether any terminal is missing whose failure is no fault.
+    /// Whether the terminal of any point is missing.
     fn is_missing(&self) -> bool {
         self.states.iter().any(|state| !state.valid)
     }
@@ -175,7 +175,8 @@ impl Coordinator<'_> {
         }
     }
 
-    /// Whether an acknowledgement without a fault has something to bring back: a terminal whose failure is no fault.
+    /// Whether an acknowledgement without a fault has something to bring back: a terminal whose failure is no fault, or that
+    /// was taken out of OP by a request.
     pub(super) fn brings_terminals_back(&self) -> bool {
         self.application.fault().is_none() && self.config_hash.is_some() && self.io.is_missing()
     }

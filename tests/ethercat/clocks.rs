@@ -66,7 +66,10 @@ again! {
         the_drives_exchange_data_soon_after_safeop_and_operate_before_a_terminal_is_configured,
         a_stop_while_a_terminal_starts_up_takes_the_drives_out_of_operation,
         a_new_setup_while_a_terminal_starts_up_begins_in_init,
-        a_terminal_that_lost_its_power_is_told_when_it_is_back;
+        a_drive_that_falls_while_a_terminal_starts_up_is_named_and_all_begin_anew,
+        a_drive_that_is_lost_while_a_terminal_starts_up_comes_back_unasked,
+        a_terminal_that_lost_its_power_is_told_when_it_is_back,
+        two_equal_terminals_that_lost_their_power_are_both_told_when_they_are_back;
     files [crate::files]
         an_acknowledgement_leaves_a_drive_in_boot_and_repairs_it_after_the_transfer,
         another_drive_is_repaired_while_one_is_in_boot,

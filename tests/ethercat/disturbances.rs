@@ -217,6 +217,11 @@ pub(crate) fn the_drives_exchange_data_soon_after_safeop_and_operate_before_a_te
                 operating || terminal.is_none(),
                 "{terminal:?} comes first, {exchange:?}"
             );
+            let shares = &rig.group.exchange().plan().slaves;
+            let are_watched = DRIVES
+                .iter()
+                .all(|drive| shares.get(*drive).is_some_and(|share| share.watched));
+            assert!(are_watched || terminal.is_none(), "{terminal:?}, {exchange:?}");
         }
         assert!(
             operating && rig.al_state_of(LAST) == AlState::Operational,
@@ -249,6 +254,33 @@ pub(crate) fn a_terminal_that_lost_its_power_is_told_when_it_is_back() {
     rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
     assert_eq!(rig.al_state_of(AXES + 1), AlState::Operational);
     rig.assert_drives_operate("with the terminal back");
+}
+
+#[test]
+pub(crate) fn two_equal_terminals_that_lost_their_power_are_both_told_when_they_are_back() {
+    const LOST: [usize; 2] = [AXES, AXES + 1];
+    for (first_ms, second_ms) in [(1_500, 1_500), (1_000, 2_500), (2_500, 1_000)] {
+        let mut rig = rig_of("ax2000*4,el2004,el2004,el1008", SlaveSet::ALL).started();
+        rig.operational();
+        rig.run_ms(50);
+        for (place, off_ms) in LOST.into_iter().zip([first_ms, second_ms]) {
+            rig.cell.inject(Fault::Power(place + 1, off_ms));
+        }
+        // A cut chain hides the terminals behind the cut: nothing is told of them before both have their power again.
+        for position in LOST.map(|place| place as u8) {
+            rig.wait_for(4_000, |event| *event == BusEvent::Returned { position });
+        }
+        rig.recover();
+        rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+        for place in LOST {
+            assert_eq!(
+                rig.al_state_of(place),
+                AlState::Operational,
+                "{place}, {first_ms} {second_ms}"
+            );
+        }
+        rig.assert_drives_operate("with both terminals back");
+    }
 }
 
 /// Drives in OP beside a terminal that is still starting up, and an unused slave with an error.
@@ -295,4 +327,32 @@ pub(crate) fn a_new_setup_while_a_terminal_starts_up_begins_in_init() {
     }
     rig.operational();
     rig.assert_drives_operate("started again");
+}
+
+#[test]
+pub(crate) fn a_drive_that_falls_while_a_terminal_starts_up_is_named_and_all_begin_anew() {
+    const DRIVE: usize = 1;
+    for to in [AlState::SafeOperational, AlState::PreOperational, AlState::Init] {
+        let mut rig = while_a_terminal_starts_up();
+        rig.cell.inject(Fault::Fall(DRIVE + 1, to, 0x001B));
+        let is_named = |event: &BusEvent| matches!(event, BusEvent::Refused { position: Some(place), step: Step::Watch, .. } if *place == DRIVE as u8);
+        rig.wait_for(BRING_UP_MS_MAX, is_named);
+        rig.run_ms(500);
+        for drive in 0..AXES {
+            assert_ne!(rig.al_state_of(drive), AlState::Operational, "drive {drive}, {to:?}");
+        }
+        rig.wait_for(2 * BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+        rig.assert_drives_operate(&format!("{to:?}"));
+    }
+}
+
+#[test]
+pub(crate) fn a_drive_that_is_lost_while_a_terminal_starts_up_comes_back_unasked() {
+    for off_ms in [60, 2_000] {
+        let mut rig = while_a_terminal_starts_up();
+        rig.cell.inject(Fault::Power(AXES, off_ms));
+        rig.wait_for(1_000, |event| matches!(event, BusEvent::Refused { .. }));
+        rig.wait_for(2 * BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+        rig.assert_drives_operate(&format!("off for {off_ms} ms"));
+    }
 }

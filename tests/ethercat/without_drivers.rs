@@ -210,3 +210,34 @@ fn chosen_process_data_are_assigned_mapped_and_found_where_they_lie() {
     bench.run(THROUGH);
     assert_eq!(bench.segment.outputs(3), Some(vec![0x5]));
 }
+
+/// The supply of a whole chain fails while it is brought up, at any moment.
+#[test]
+fn a_chain_that_goes_off_as_a_whole_is_not_reported_in_operation_and_comes_up_unasked() {
+    use SlaveKind::{Ek1100, El1008, El2004};
+    let chain = [Ek1100, El1008, El2004, El1008];
+    let took_ms = Bench::new(&chain, 1_000, ExchangeKind::Split, &[]).operational();
+    assert!(took_ms > 50, "{took_ms}");
+    for off_at_ms in (5..took_ms - 20).step_by(7) {
+        let mut bench = Bench::new(&chain, 1_000, ExchangeKind::Split, &[]);
+        bench.run_ms(off_at_ms);
+        for slave in 1..=chain.len() {
+            bench.segment.inject(Fault::Power(slave, 400));
+        }
+        bench.run_ms(390);
+        assert!(
+            !bench.log.contains(&BusEvent::Operational),
+            "off at {off_at_ms} ms: {:#?}",
+            bench.log
+        );
+        bench.operational();
+        for (slave, state) in bench.segment.slaves().iter().enumerate() {
+            assert_eq!(
+                state.al_state,
+                AlState::Operational,
+                "slave {slave}, off at {off_at_ms} ms: {:#?}",
+                bench.log
+            );
+        }
+    }
+}

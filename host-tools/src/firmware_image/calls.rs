@@ -87,7 +87,8 @@ impl<'a> CallGraph<'a> {
         graph
     }
 
-    /// Functions whose address is taken by code or stored in the image as data, except in the vector table.
+    /// Functions whose address is taken by code or stored in the image as data, except in the vector table. An instruction
+    /// that reads like an address is none.
     fn taken(&self) -> BTreeSet<u32> {
         let formed = self.nodes.values().flat_map(|node| node.takes.iter().copied());
         let mut taken: BTreeSet<u32> = formed.filter(|address| self.nodes.contains_key(address)).collect();
@@ -97,7 +98,8 @@ impl<'a> CallGraph<'a> {
             }
             for address in (section.address..section.address.saturating_add(section.size)).step_by(4) {
                 let value = self.image.word(address).unwrap_or(0);
-                if value & 1 == 1 && self.nodes.contains_key(&(value & !1)) {
+                let is_instruction = self.image.function_at(address).is_some() && self.image.is_code(address);
+                if value & 1 == 1 && self.nodes.contains_key(&(value & !1)) && !is_instruction {
                     taken.insert(value & !1);
                 }
             }
@@ -157,6 +159,12 @@ impl<'a> CallGraph<'a> {
     #[must_use]
     pub fn calls_indirectly(&self, function: &Function) -> bool {
         self.nodes.get(&function.address).is_some_and(|node| node.indirect)
+    }
+
+    /// Whether a call through a register may enter a function: its address is somewhere in the image.
+    #[must_use]
+    pub fn is_called_indirectly(&self, function: &Function) -> bool {
+        self.taken().contains(&function.address)
     }
 
     /// Whether a function masks interrupts.

@@ -139,23 +139,15 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         self.emit(BusEvent::TerminalRefused { position, step, error }).await;
     }
 
-    /// The slaves in the order in which they are brought up, and how many of them come before the terminals.
-    pub(super) fn order(&self) -> (Vec<u8, SLAVES>, usize) {
-        let numbers = |terminals: bool| {
-            (0..)
-                .zip(&self.slaves)
-                .filter(move |(_, slave)| slave.is_terminal == terminals)
-        };
-        let order = numbers(false).chain(numbers(true)).map(|(number, _)| number);
-        (order.collect(), numbers(false).count())
+    /// Whether a member has left its state or is lost.
+    pub(super) fn has_disturbed_member(&self) -> bool {
+        let mut members = self.slaves.iter().filter(|slave| slave.member.is_some());
+        members.any(|slave| matches!(slave.condition, Condition::Lost | Condition::LeftOperational))
     }
 
-    /// The first member that has left its state or is lost, with its place in the chain and its last report.
-    pub(super) fn disturbed_member(&self) -> Option<(u16, AlReport)> {
-        let has_left = |slave: &&Slave<F>| {
-            let is_away = matches!(slave.condition, Condition::Lost | Condition::LeftOperational);
-            slave.member.is_some() && is_away
-        };
+    /// The first member that is there and has left its state, with its place in the chain and its report.
+    pub(super) fn left_member(&self) -> Option<(u16, AlReport)> {
+        let has_left = |slave: &&Slave<F>| slave.member.is_some() && slave.condition == Condition::LeftOperational;
         self.slaves
             .iter()
             .find(has_left)

@@ -4,7 +4,7 @@
 //! passes the critical side its plan, takes the members to OP while cyclic data are already exchanged, and then watches
 //! for slaves that vanish, return, are plugged in or leave OP. A repair, started by [`BusCommand::Recover`], brings a
 //! slave back while the others continue. A bring-up that failed is repeated by itself once the chain has changed, or after a
-//! pause if a slave was too slow, was lost, or left its state. In between, the supervisor carries out service requests
+//! pause if a slave was too slow or had left its state. In between, the supervisor carries out service requests
 //! ([`diagnostics`](super::diagnostics)), even on a bus that was not brought up. Every failed step is reported with
 //! slave, step and reason.
 //!
@@ -45,7 +45,7 @@ use inbox::{Expectation, Inbox, Interruption, SUSPICION_MS, WORK_SUSPICION_MS, W
 
 /// Pause between two inspections for one suspicion, ms.
 const INSPECTION_PAUSE_MS: u32 = 50;
-/// Period of the supervisor's routine inspection of a few slaves in turn, ms.
+/// Pause between two routine inspections of a few slaves in turn, ms.
 const LOOK_PERIOD_MS: u32 = 20;
 /// Longest wait for the Ethernet port's link before a bring-up, ms: switches and drives need some seconds to start.
 pub const LINK_TIMEOUT_MS: u32 = 5_000;
@@ -53,7 +53,7 @@ pub const LINK_TIMEOUT_MS: u32 = 5_000;
 const REPAIR_TRIES_MAX: u8 = 3;
 /// How long a chain that has changed after a failed bring-up has to be stable before the next one, ms.
 const CHANGED_MS: u32 = 100;
-/// Pause before the next bring-up after one in which a slave was too slow, ms. Each request that names a slave begins it anew.
+/// Pause before the next bring-up after one in which a slave was too slow or left its state, ms. Each request that names a slave begins it anew.
 const SLOW_MS: u32 = 5_000;
 /// How often these times are doubled, so that a loose contact does not restart the drives again and again.
 const DOUBLED_MAX: u8 = 8;
@@ -161,10 +161,11 @@ pub struct Supervisor<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     phase: Phase,
     /// Number of slaves at the last rescan, or at the failed bring-up.
     slaves_sorted: u16,
-    /// When that number changed after the failed bring-up, or that failed because a slave was too slow; `None` otherwise.
+    /// From when on the pause before the next bring-up counts: when that number changed, or when a bring-up failed that may
+    /// succeed without a change; `None` without a next one.
     changed_ms: Option<u32>,
-    /// Whether the failed bring-up ended because a slave was too slow or showed an error: the pause is the long one.
-    was_slow: bool,
+    /// Whether the pause before the next bring-up is the long one.
+    waits_long: bool,
     /// Bring-ups since the last command that began without one.
     retries: u8,
     /// Rescans of this number that failed, one after the other.
@@ -207,7 +208,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             phase: Phase::Stopped,
             slaves_sorted: 0,
             changed_ms: None,
-            was_slow: false,
+            waits_long: false,
             retries: 0,
             rescans_failed: 0,
             inspected_ms: 0,
@@ -262,16 +263,16 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         }
     }
 
-    /// Waits a millisecond after a failed bring-up; brings the bus up once the chain has changed, or a slave was too slow, and
-    /// there are slaves enough.
+    /// Waits a millisecond after a failed bring-up; brings the bus up once the chain has changed, or the failed one may
+    /// succeed without a change, and there are slaves enough.
     async fn await_change(&mut self) {
         self.bus.port.wait_ms(1).await;
         self.inbox.observe(&Expectation::ANYTHING);
         let (there, now_ms) = (self.inbox.slaves(), self.bus.port.now_ms());
         if there != self.slaves_sorted {
-            (self.slaves_sorted, self.changed_ms, self.was_slow) = (there, Some(now_ms), false);
+            (self.slaves_sorted, self.changed_ms, self.waits_long) = (there, Some(now_ms), false);
         }
-        let pause_ms = if self.was_slow { SLOW_MS } else { CHANGED_MS };
+        let pause_ms = if self.waits_long { SLOW_MS } else { CHANGED_MS };
         let stable_ms = (pause_ms << self.retries.min(DOUBLED_MAX)).min(PAUSE_MAX_MS);
         let is_stable = self
             .changed_ms
@@ -316,8 +317,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 };
                 // A slave that was too slow may answer the next time, although the chain does not change; and one that was
                 // lost meanwhile may be back already.
-                self.was_slow = is_too_slow(&failure.error);
-                let is_tried_again = self.was_slow || self.bus.has_lost;
+                self.waits_long = is_too_slow(&failure.error);
+                let is_tried_again = self.waits_long || self.bus.has_lost;
                 self.changed_ms = is_tried_again.then_some(self.bus.port.now_ms());
                 self.bus.refuse(failure).await;
             }
@@ -326,16 +327,15 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             Err(Interruption::Bus) => {
                 self.slaves_sorted = self.inbox.slaves();
                 self.bus.inspect(0..SLAVES).await;
-                let left = self.bus.disturbed_member();
-                // One that is there may stay in its state the next time.
-                self.was_slow = left.is_some_and(|(_, report)| report.is_flagged());
-                let is_tried_again = self.was_slow || self.bus.has_lost;
-                self.changed_ms = is_tried_again.then_some(self.bus.port.now_ms());
+                let left = self.bus.left_member();
+                // Whatever it was may be over the next time. A slave that was lost may be back already.
+                self.waits_long = !self.bus.has_lost;
+                self.changed_ms = Some(self.bus.port.now_ms());
                 let error = BusError::SlaveCount {
                     expected: self.bus.slaves.len() as u16,
                     actual: self.inbox.slaves(),
                 };
-                let failure = match left.filter(|_| self.was_slow) {
+                let failure = match left {
                     Some((position, report)) => {
                         Failure::of(position, Step::Watch)(report.instead_of(AlState::Operational))
                     }
@@ -374,25 +374,46 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         if let Err(failure) = self.step(BringUpStep::Clocks).await? {
             return Ok(Err(failure));
         }
-        let (order, members) = self.bus.order();
-        let (members, terminals) = order.split_at(members.min(order.len()));
-        for group in [members, terminals] {
-            for number in group.iter().map(|number| usize::from(*number)) {
+        for of_terminals in [false, true] {
+            for number in 0..self.bus.slaves.len() {
+                if self.bus.is_terminal(number) != of_terminals {
+                    continue;
+                }
                 if let Err(failure) = self.step(BringUpStep::SafeOperational(number)).await? {
                     return Ok(Err(failure));
                 }
                 // Some slaves need process data soon after they have reached SAFEOP.
                 self.bus.send_plan().await;
+                self.check_members().await?;
             }
-            for number in group.iter().map(|number| usize::from(*number)) {
+            for number in 0..self.bus.slaves.len() {
+                if self.bus.is_terminal(number) != of_terminals {
+                    continue;
+                }
                 if let Err(failure) = self.step(BringUpStep::Operational(number)).await? {
                     return Ok(Err(failure));
                 }
+                self.check_members().await?;
             }
+            self.bus.send_plan().await;
         }
-        self.bus.send_plan().await;
+        if self.bus.present() == 0 {
+            return Err(Interruption::Bus);
+        }
         self.bus.introduce_all().await;
         Ok(Ok(()))
+    }
+
+    /// Looks whether a member has left OP while another slave was brought to a state: an error flag that was there before hides
+    /// that.
+    async fn check_members(&mut self) -> Result<(), Interruption> {
+        if self.bus.has_operational() {
+            self.bus.inspect(0..SLAVES).await;
+        }
+        match self.bus.has_disturbed_member() {
+            true => Err(Interruption::Bus),
+            false => Ok(()),
+        }
     }
 
     /// A step of the bring-up; again after a disturbance by slaves that no member needs. A terminal that fails is refused alone.
@@ -411,7 +432,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 (Err(Interruption::Bus), number) if tries < DISTURBANCES_MAX && !self.inbox.port.is_down() => {
                     tries += 1;
                     self.bus.inspect(0..SLAVES).await;
-                    if self.bus.disturbed_member().is_some() || self.inbox.port.is_down() {
+                    let is_empty = self.bus.present() == 0;
+                    if self.bus.has_disturbed_member() || is_empty || self.inbox.port.is_down() {
                         return Err(Interruption::Bus);
                     }
                     self.strangers = self.inbox.slaves().saturating_sub(self.bus.present());
@@ -459,11 +481,13 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         inbox.guard(expected, Work::Exclusive, work).await
     }
 
-    /// What the critical side should see while a slave is brought to a state.
+    /// What the critical side should see while a slave is brought to a state: inputs of the members alone.
     fn expected(&self, worked_on: usize) -> Expectation {
         let expected = self.bus.expectation(Some(worked_on));
+        let terminals = (0..SLAVES).filter(|number| self.bus.is_terminal(*number));
         Expectation {
             slaves: expected.slaves.map(|slaves| slaves.saturating_add(self.strangers)),
+            answering: expected.answering.without(terminals.collect()),
             ..expected
         }
     }
@@ -483,8 +507,9 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         if self.inbox.suspicion_ms >= SUSPICION_MS && !paused {
             self.inspect_all().await;
         } else if now_ms.wrapping_sub(self.looked_ms) >= LOOK_PERIOD_MS {
-            self.looked_ms = now_ms;
             self.look().await;
+            // Requests to slaves that do not answer take long: what looks wrong is counted between two looks.
+            self.looked_ms = self.bus.port.now_ms();
         }
     }
 
@@ -642,7 +667,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             // A slave that erases its memory may take longer over a packet than a file may lie idle.
             bus.use_file();
         }
-        if request.slave().is_some() && self.was_slow {
+        if request.slave().is_some() && self.waits_long {
             // Whoever looks for the reason is not interrupted by the next bring-up.
             self.changed_ms = self.changed_ms.map(|_| bus.port.now_ms());
         }

@@ -13,6 +13,7 @@ use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
 use super::super::event::BusEvent;
 use super::super::slave::{Condition, Slave};
+use super::super::slave_set::SlaveSet;
 use super::super::wire::sii::FixedPart;
 use super::bus::Bus;
 use super::repair::Places;
@@ -21,10 +22,10 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     /// Looks through the chain for slaves without an address of this bus. What was found before an error stays.
     pub(super) async fn rescan(&mut self) -> Result<(), BusError> {
         let mut places = self.places().await?;
-        let mut extra = false;
+        let (mut extra, mut returned) = (false, SlaveSet::NONE);
         let mut sorted = Ok(());
         for place in 0..places.len() {
-            match self.sort(place, &mut places).await {
+            match self.sort(place, &mut places, &mut returned).await {
                 Ok(is_extra) => extra |= is_extra,
                 Err(error) => {
                     sorted = Err(error);
@@ -41,8 +42,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         sorted
     }
 
-    /// Looks at one place, and notes there the address that its slave has got; returns whether it is an extra one.
-    async fn sort(&mut self, place: usize, places: &mut Places) -> Result<bool, BusError> {
+    /// Looks at one place, and notes there the address that its slave has got; returns whether it is an extra one. `seen` are
+    /// the slaves that were found back at places before.
+    async fn sort(&mut self, place: usize, places: &mut Places, seen: &mut SlaveSet) -> Result<bool, BusError> {
         let station = places.get(place).copied().unwrap_or(0);
         if self.number_of(station).is_some() {
             return Ok(false);
@@ -61,12 +63,19 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let may_be = |slave: &Slave<F>| belongs_here(slave) && self.is_same(slave, &fixed.identity).is_ok();
         let is_it = |slave: &Slave<F>| slave.is_of_product(&fixed.identity) && may_be(slave);
         // A refused terminal may be any product; a slave of the product that was found comes first.
-        let returned = self.slaves.iter().position(is_it);
-        let returned = returned.or_else(|| self.slaves.iter().position(may_be));
+        let not_seen = |number: &usize| !seen.contains(*number);
+        let of = |wanted: &dyn Fn(&Slave<F>) -> bool| {
+            let numbers = (0..).zip(&self.slaves).filter(|(_, slave)| wanted(slave));
+            numbers.map(|(number, _)| number).find(not_seen)
+        };
+        let returned = of(&is_it).or_else(|| of(&may_be));
         let is_awaited = self.slaves.iter().any(|slave| slave.is_used() && belongs_here(slave));
         self.confirm_mark(place as u16, places).await?;
         let (named, is_extra) = match returned {
-            Some(number) => (self.readdress(number).await?, false),
+            Some(number) => {
+                *seen |= SlaveSet::of(number);
+                (self.readdress(number).await?, false)
+            }
             None if is_awaited => {
                 self.name(0).await?;
                 (0, false)

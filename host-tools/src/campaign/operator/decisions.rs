@@ -81,6 +81,8 @@ impl Operator<'_> {
             Mode::Startup | Mode::BusConfiguring | Mode::DrivesOff if !is_configured => self.configure(),
             Mode::Startup | Mode::BusConfiguring | Mode::Stopping | Mode::Homing | Mode::Moving => {}
             Mode::DrivesOff if !homed && self.raise_parked() => {}
+            // As the refusal says: the operator has taken the terminal out of OP.
+            Mode::DrivesOff if std::mem::take(&mut self.misses_terminal) => self.say(Command::Acknowledge),
             // The axes go to their switches with power.
             Mode::DrivesOff if self.has_switches => self.say(Command::Enable),
             Mode::Unreferenced | Mode::Idle if self.has_switches && (!homed || self.judge.asks_for_homing()) => {

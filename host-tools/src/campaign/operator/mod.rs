@@ -21,7 +21,7 @@ use crate::black_box::contents::Contents;
 use crate::black_box::replay::{Replay, replay};
 use crate::link::session::{Event as LinkEvent, Session};
 use crate::simulation::{Host, Surroundings};
-use etherpen::application::Mode;
+use etherpen::application::{Fault as Reason, InputCause, Mode, Refusal};
 use etherpen::black_box::Memory;
 use etherpen::board::PortState;
 use etherpen::config::{Config, Paper};
@@ -85,6 +85,8 @@ pub(super) struct Operator<'e> {
     configured_ms: Option<u32>,
     /// Acknowledgements since the robot was last ready.
     acknowledged: u32,
+    /// Whether the drives were refused their power because a terminal that is needed is missing.
+    misses_terminal: bool,
     beside: u16,
     at_once: Vec<u8>,
     /// Commands beside the session that are not answered, and what reads their answers.
@@ -138,6 +140,7 @@ impl<'e> Operator<'e> {
             awaited: None,
             configured_ms: None,
             acknowledged: 0,
+            misses_terminal: false,
             beside: FIRST_BESIDE,
             at_once: Vec::new(),
             unanswered: Vec::new(),
@@ -299,6 +302,13 @@ impl<'e> Operator<'e> {
         match event {
             LinkEvent::Answered { id, command, result } => {
                 self.awaited.take_if(|(awaited, _)| *awaited == id);
+                self.misses_terminal |= matches!(
+                    result,
+                    Err(Refusal::CauseRemains(Reason::StopInput {
+                        cause: InputCause::Missing,
+                        ..
+                    }))
+                );
                 self.judge.answered(&command, result.is_ok());
             }
             LinkEvent::Ack(ack) => {
