@@ -7,7 +7,7 @@ use etherpen::config::Config;
 use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest};
 use etherpen::ethercat::state::AlState as Wanted;
 use etherpen::messages::Command;
-use host_tools::cell::{AlState, CellOptions, ClockOptions, Fault as CellFault, Product, SiiFault};
+use host_tools::cell::{AlState, CellOptions, ClockOptions, Fault as CellFault, Product, SiiFault, SlaveList};
 
 /// Longest time from an acknowledgement to what follows from it, ms.
 const ANSWER_MAX_MS: u32 = 15_000;
@@ -250,6 +250,48 @@ fn clocks_agree_in_truth_when_another_slave_becomes_the_reference_and_when_the_f
             assert_eq!(come_back(&mut robot, 0), 0);
             assert_truly_agree(&mut robot, &[1, 2, 3, 4], "drawn");
         }
+    }
+}
+
+#[test]
+fn clocks_agree_in_truth_when_a_slave_that_nobody_knows_is_plugged_in() {
+    // In the line, or at a junction: in its first branch that frames pass, or in the last.
+    for (list, stranger, drives) in [
+        ("ek1100,el1008,ax2000*4", 2, [3, 4, 5, 6]),
+        ("ek1122(3:el1008),ax2000*4", 2, [3, 4, 5, 6]),
+        ("ek1122(2:el1008),ax2000*4", 6, [2, 3, 4, 5]),
+        ("ek1122,ek1122(3:el2004,el1008),ax2000*4", 3, [5, 6, 7, 8]),
+    ] {
+        println!("{list}");
+        let mut config = Config::default();
+        config.bus.clocks = true;
+        let list: SlaveList = list.parse().expect("a list");
+        let options = CellOptions {
+            slaves: list.slaves,
+            places: list.places,
+            branches: list.branches,
+            clocks: ClockOptions {
+                cable_ns: 2_000,
+                ..ClockOptions::default()
+            },
+            ..CellOptions::default()
+        };
+        let mut robot = Robot::of(&config, options);
+        robot.inject(CellFault::Remove(stranger));
+        let mut robot = robot.enabled().in_a_drawing();
+        robot.run(2_000);
+        assert_truly_agree(&mut robot, &drives, "before");
+        robot.inject(CellFault::Insert(stranger));
+        robot.run(3_000);
+        assert_truly_agree(&mut robot, &drives, "with the stranger");
+        robot.inject(CellFault::Power(drives[1], 1_000));
+        robot.run_until("the stop has ended", |robot| robot.mode() == Mode::Fault);
+        robot.run(1_000);
+        assert_eq!(acknowledge(&mut robot), None);
+        robot.run(1_000);
+        assert_truly_agree(&mut robot, &drives, "a drive taken back");
+        assert_eq!(come_back(&mut robot, 0), 0);
+        assert_truly_agree(&mut robot, &drives, "drawn");
     }
 }
 

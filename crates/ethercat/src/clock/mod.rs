@@ -21,6 +21,7 @@ pub mod delay;
 pub mod steering;
 
 use super::acyclic::{AcyclicPort, Request};
+use super::configure::discovery;
 use super::error::BusError;
 use super::plan::ReferenceClock;
 use super::wire::register::{self, DlStatus};
@@ -93,6 +94,8 @@ pub struct BusClocks<const SLAVES: usize> {
     /// Number of slaves whose place in the chain is known. Those behind them are extra ones, wherever they are: the time is
     /// written to their clocks too, which are counted for that, and nothing else.
     ordered: u8,
+    /// Whether a clock of 32 bits was replaced: it may have told the others a time without an upper half.
+    was_narrow: bool,
     /// Number of the time, see [`ReferenceClock::time_number`].
     time_number: u8,
     /// The reference's time in 64 bits when it was last read, ns; `None` before.
@@ -133,7 +136,8 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
             .filter(|(position, _)| answers(*position));
         let slaves = present.filter(|(_, slave)| slave.width.is_some()).count() as u16;
         // A clock of 32 bits that is lost may have told the others a time without an upper half.
-        let wide = self.slaves.iter().all(|slave| slave.width != Some(Width::Bits32));
+        let is_narrow = |slave: &SlaveClock| slave.width == Some(Width::Bits32);
+        let wide = !self.was_narrow && !self.slaves.iter().any(is_narrow);
         Some(ReferenceClock {
             station,
             slaves: if self.is_held { 1 } else { slaves },
@@ -213,6 +217,7 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
         let slave = self.slaves.get_mut(position);
         let is_other = |slave: &&mut SlaveClock| (slave.width, slave.latches) != (found.width, found.latches);
         if let Some(slave) = slave.filter(is_other) {
+            self.was_narrow |= slave.width == Some(Width::Bits32);
             *slave = *found;
         }
     }
@@ -322,10 +327,48 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
             let _ = (there.push(position), ports.push(slave.ports));
         }
     }
+    let is_junction = |slave: &PortTimes| slave.has_clock && slave.open.count_ones() > 2;
+    if ports.iter().any(is_junction) {
+        add_strangers(port, stations, &mut there, &mut ports).await?;
+    }
     for (position, delay_ns) in there.iter().zip(propagation_delays_ns::<SLAVES>(&ports)) {
         if let Some(slave) = clocks.slaves.get_mut(*position) {
             slave.delay_ns = delay_ns;
         }
+    }
+    Ok(())
+}
+
+/// Puts slaves whose places are not known between those at `there`, as parts of their cables: at a junction they decide in
+/// which branch the others are. Does nothing if the chain has no other slaves, or more than there is room for.
+async fn add_strangers<const SLAVES: usize, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    stations: &[u16],
+    there: &mut Vec<usize, SLAVES>,
+    ports: &mut Vec<PortTimes, SLAVES>,
+) -> Result<(), BusError> {
+    let found = discovery::count(port).await?;
+    let mut places = Vec::<u16, SLAVES>::new();
+    if usize::from(found) <= there.len() || usize::from(found) > SLAVES {
+        return Ok(());
+    }
+    discovery::stations(port, found, &mut places).await?;
+    let is_known = |number: usize, station: u16, there: &[usize]| {
+        let position = there.get(number).and_then(|position| stations.get(*position));
+        position == Some(&station)
+    };
+    for (place, station) in (0_u16..).zip(&places) {
+        if is_known(place.into(), *station, there) {
+            continue;
+        }
+        let address = Address::position(place, register::DL_STATUS);
+        let status = port.send_until_counted(&Request::read(Command::Aprd, address, 2), 1).await?;
+        let stranger = PortTimes {
+            open: open_ports(read_u16(&status, 0)),
+            ..PortTimes::default()
+        };
+        // There is room for all that were found.
+        let _ = (there.insert(place.into(), usize::MAX), ports.insert(place.into(), stranger));
     }
     Ok(())
 }

@@ -71,6 +71,8 @@ struct Chain {
     true_ns: u64,
     /// Whether the time of the first slave is distributed in each millisecond.
     distributes: bool,
+    /// Whether the second slave hangs alone at port 3 of the first, and the others behind its port 1.
+    is_junction: bool,
     frames: usize,
     log: String,
 }
@@ -104,18 +106,43 @@ impl Chain {
             slaves: models,
             true_ns: 7_000_000_123,
             distributes: false,
+            is_junction: false,
             frames: 0,
             log: String::new(),
         }
     }
 
     fn latch(&mut self) {
+        if self.is_junction {
+            return self.latch_at_junction();
+        }
         for model in &mut self.slaves {
             let entry_ns = model.local_ns(self.true_ns + model.delay_ns);
             let behind_ns = 2 * (3 * HOP_NS - model.delay_ns);
             let back_ns = model.local_ns(self.true_ns + model.delay_ns + behind_ns);
             model.put(register::DC_RECEIVE_TIME, &(entry_ns as u32).to_le_bytes());
             model.put(register::DC_RECEIVE_TIME + 4, &(back_ns as u32).to_le_bytes());
+            model.put(register::DC_RECEIVE_TIME_UNIT, &entry_ns.to_le_bytes());
+        }
+    }
+
+    /// The second slave hangs at port 3 of the first, the third and the fourth behind its port 1.
+    fn latch_at_junction(&mut self) {
+        // Open ports, and hops from the master's frame until it has come back to ports 0, 1 and 3.
+        const PASSES: [(u16, [u64; 4]); 4] = [
+            (0x1A31 | 0x8000 | 0x80, [0, 6, 0, 2]),
+            (0x5611, [1, 0, 0, 0]),
+            (0x5A31, [3, 5, 0, 0]),
+            (0x5611, [4, 0, 0, 0]),
+        ];
+        for (model, (status, hops)) in self.slaves.iter_mut().zip(PASSES) {
+            model.delay_ns = hops[0] * HOP_NS;
+            model.put(register::DL_STATUS, &status.to_le_bytes());
+            for (port, hops) in (0..).zip(hops) {
+                let time_ns = model.local_ns(self.true_ns + hops * HOP_NS) as u32;
+                model.put(register::DC_RECEIVE_TIME + 4 * port, &time_ns.to_le_bytes());
+            }
+            let entry_ns = model.local_ns(self.true_ns + model.delay_ns);
             model.put(register::DC_RECEIVE_TIME_UNIT, &entry_ns.to_le_bytes());
         }
     }
@@ -146,14 +173,20 @@ impl Chain {
         if self.distributes {
             self.distribute();
         }
-        for (model, station) in self.slaves.iter_mut().zip(STATIONS) {
+        for (place, (model, station)) in (0_u16..).zip(self.slaves.iter_mut().zip(STATIONS)) {
             let now_ns = self.true_ns + model.delay_ns;
             let system = model.system_ns(now_ns).to_le_bytes();
             write_bytes(&mut model.memory, usize::from(register::DC_SYSTEM_TIME), &system);
+            let is_here = request.command == Command::Aprd && request.address == Address::position(place, at);
             let mine = request.address == Address::station(station, at);
             match request.command {
                 Command::Fprd if mine && at == register::DC_SYSTEM_TIME && model.width.is_none() => {}
-                Command::Fprd | Command::Frmw if mine => {
+                Command::Aprd if is_here && at == register::STATION_ADDRESS => {
+                    data.copy_from_slice(&station.to_le_bytes());
+                    working_counter += 1;
+                }
+                Command::Brd => working_counter += 1,
+                Command::Fprd | Command::Frmw | Command::Aprd if mine || is_here => {
                     let length = data.len();
                     data.copy_from_slice(&model.memory[usize::from(at)..][..length]);
                     working_counter += 1;
@@ -597,13 +630,32 @@ fn a_slave_is_replaced_by_one_with_another_clock_or_with_none() {
             Ok(clocks.reference_clock(&STATIONS, |_| true))
         });
         let reference = counted.expect("the repair").expect("a reference");
-        let expected = (3 + u16::from(new.is_some()), new != NARROW);
+        // A clock of 32 bits has told the others a time without an upper half, even if it is gone.
+        let expected = (3 + u16::from(new.is_some()), new != NARROW && old != NARROW);
         assert_eq!((reference.slaves, reference.wide), expected, "{old:?} to {new:?}");
         assert_eq!(clocks.has_clock(2), new.is_some());
         let ours = chain.slaves[2].system_ns(chain.true_ns) as u32;
         let bus = chain.slaves[0].system_ns(chain.true_ns) as u32;
         assert!(new.is_none() || ours == bus, "{old:?} to {new:?}: {ours} and {bus} ns");
     }
+}
+
+#[test]
+fn a_stranger_at_a_junction_changes_no_delay_of_the_others() {
+    let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 123_456, 0)]);
+    chain.is_junction = true;
+    let delays = |clocks: &BusClocks<16>| clocks.slaves.iter().map(|slave| slave.delay_ns).collect::<StdVec<_>>();
+    let all = delays(&chain.set_up());
+    assert_eq!(all, [0, 1, 3, 4].map(|hops| hops * HOP_NS as u32));
+    let known = [STATIONS[0], STATIONS[2], STATIONS[3]];
+    let clocks: BusClocks<16> = chain
+        .run(async |mut port: AcyclicPort<'static, 64>| {
+            let mut clocks = discover(&mut port, &known).await?;
+            measure(&mut port, &known, &mut clocks, |_| true).await?;
+            Ok::<_, BusError>(clocks)
+        })
+        .expect("the measurement");
+    assert_eq!(delays(&clocks), [all[0], all[2], all[3]]);
 }
 
 #[test]
