@@ -13,7 +13,7 @@ use host_tools::cell::{AlState, CellOptions, Fault, SlaveList};
 /// Longest bring-up with all that happens here, ms.
 const BRING_UP_MS_MAX: u64 = 10_000;
 /// Moments of a bring-up at which something happens.
-const MOMENTS: u64 = 24;
+const MOMENTS: u64 = 60;
 
 fn rig_of(list: &str, terminals: SlaveSet) -> Rig<'static> {
     let list: SlaveList = list.parse().expect("a list");
@@ -103,13 +103,8 @@ pub(crate) fn a_terminal_that_falls_during_the_bring_up_is_named_alone_and_comes
             usize::from(position) == TERMINAL
         };
         assert!(rig.log.iter().any(is_named), "at {at_ms} ms: {:#?}", rig.log);
-        // A mailbox that it left in the middle of an exchange may cost a second try.
-        for _ in 0..2 {
-            if rig.al_state_of(TERMINAL) != AlState::Operational {
-                rig.recover();
-                rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
-            }
-        }
+        rig.recover();
+        rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
         let state = rig.al_state_of(TERMINAL);
         assert_eq!(state, AlState::Operational, "at {at_ms} ms: {:#?}", rig.log);
     }
@@ -168,9 +163,10 @@ pub(crate) fn a_drive_that_leaves_its_state_during_the_bring_up_is_named_and_the
         rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
         for (position, step, error) in rig.refusals() {
             assert_eq!(position, Some(DRIVE as u8), "at {at_ms} ms: {step:?}, {error:?}");
+            // A step that has just acknowledged the error leaves the state alone.
             let code = error.code();
-            assert_eq!(code, 0x001A, "at {at_ms} ms: {step:?}, {error:?}");
-            named += 1;
+            assert!([0x001A, 0].contains(&code), "at {at_ms} ms: {step:?}, {error:?}");
+            named += u64::from(code != 0);
         }
         rig.run_ms(150);
         if rig.al_state_of(DRIVE) != AlState::Operational {

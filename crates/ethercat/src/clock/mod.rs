@@ -362,13 +362,18 @@ async fn add_strangers<const SLAVES: usize, const MESSAGE: usize>(
             continue;
         }
         let address = Address::position(place, register::DL_STATUS);
-        let status = port.send_until_counted(&Request::read(Command::Aprd, address, 2), 1).await?;
+        let status = port
+            .send_until_counted(&Request::read(Command::Aprd, address, 2), 1)
+            .await?;
         let stranger = PortTimes {
             open: open_ports(read_u16(&status, 0)),
             ..PortTimes::default()
         };
         // There is room for all that were found.
-        let _ = (there.insert(place.into(), usize::MAX), ports.insert(place.into(), stranger));
+        let _ = (
+            there.insert(place.into(), usize::MAX),
+            ports.insert(place.into(), stranger),
+        );
     }
     Ok(())
 }

@@ -4,7 +4,7 @@
 //! passes the critical side its plan, takes the members to OP while cyclic data are already exchanged, and then watches
 //! for slaves that vanish, return, are plugged in or leave OP. A repair, started by [`BusCommand::Recover`], brings a
 //! slave back while the others continue. A bring-up that failed is repeated by itself once the chain has changed, or after a
-//! pause if a slave was too slow or had left its state. In between, the supervisor carries out service requests
+//! pause if its reason may pass. In between, the supervisor carries out service requests
 //! ([`diagnostics`](super::diagnostics)), even on a bus that was not brought up. Every failed step is reported with
 //! slave, step and reason.
 //!
@@ -53,7 +53,7 @@ pub const LINK_TIMEOUT_MS: u32 = 5_000;
 const REPAIR_TRIES_MAX: u8 = 3;
 /// How long a chain that has changed after a failed bring-up has to be stable before the next one, ms.
 const CHANGED_MS: u32 = 100;
-/// Pause before the next bring-up after one in which a slave was too slow or left its state, ms. Each request that names a slave begins it anew.
+/// Pause before the next bring-up after one whose reason may pass, ms. Each request that names a slave begins it anew.
 const SLOW_MS: u32 = 5_000;
 /// How often these times are doubled, so that a loose contact does not restart the drives again and again.
 const DOUBLED_MAX: u8 = 8;
@@ -315,9 +315,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                     BusError::SlaveCount { actual, .. } => actual,
                     _ => self.inbox.slaves(),
                 };
-                // A slave that was too slow may answer the next time, although the chain does not change; and one that was
-                // lost meanwhile may be back already.
-                self.waits_long = is_too_slow(&failure.error);
+                // A slave that was lost meanwhile may be back already.
+                self.waits_long = may_pass(&failure.error);
                 let is_tried_again = self.waits_long || self.bus.has_lost;
                 self.changed_ms = is_tried_again.then_some(self.bus.port.now_ms());
                 self.bus.refuse(failure).await;
@@ -685,14 +684,20 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
     }
 }
 
-/// Whether a slave was too slow, and nothing else is known to be wrong.
-fn is_too_slow(error: &BusError) -> bool {
+/// Whether what went wrong may be over the next time although the chain does not change: a slave was too slow, left its state or
+/// was lost for a moment. Other errors are of the chain, or of what is asked for.
+fn may_pass(error: &BusError) -> bool {
     matches!(
         error,
-        BusError::SiiBusy { .. }
+        BusError::Lost { .. }
+            | BusError::WorkingCounter { .. }
+            | BusError::SiiBusy { .. }
             | BusError::RequestUnread { .. }
+            | BusError::State { .. }
             | BusError::StateTimeout { .. }
             | BusError::MailboxTimeout { .. }
+            | BusError::NoInputs { .. }
+            | BusError::ClockDifference { .. }
     )
 }
 

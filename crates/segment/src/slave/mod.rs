@@ -289,7 +289,9 @@ impl Slave {
         if self.is_alone() {
             return;
         }
+        let before = self.application.state();
         self.application.retreat(state, code);
+        self.leave(before);
         self.show_state();
     }
 
@@ -391,19 +393,25 @@ impl Slave {
         if !ready.synchronous && self.application.state() == AlState::Operational {
             self.application.retreat(AlState::SafeOperational, code::SYNC_LOST);
         }
-        let after = self.application.state();
-        if after != before {
-            self.unfed_ms = 0;
-            if after < AlState::SafeOperational || before < AlState::SafeOperational {
-                self.outputs_received = false;
-            }
-            if after == AlState::Init || after == AlState::Bootstrap {
-                self.mailbox = MailboxServer::default();
-                self.files.end();
-                self.announce_ms = None;
-            }
-        }
+        self.leave(before);
         self.show_state();
+    }
+
+    /// Drops what belonged to the state before, if the present one is another: in INIT and BOOT the mailbox begins anew.
+    fn leave(&mut self, before: AlState) {
+        let after = self.application.state();
+        if after == before {
+            return;
+        }
+        self.unfed_ms = 0;
+        if after < AlState::SafeOperational || before < AlState::SafeOperational {
+            self.outputs_received = false;
+        }
+        if after == AlState::Init || after == AlState::Bootstrap {
+            self.mailbox = MailboxServer::default();
+            self.files.end();
+            self.announce_ms = None;
+        }
     }
 
     /// The state request that is due now: read from the register, and worked on for the time of a transition.
