@@ -20,8 +20,8 @@ const ITCM_LIST: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/src/bin/nucleo/itc
 const RENEW: &str = "ETHERPEN_RENEW_ITCM";
 /// Tightly coupled memory for code, and for data.
 /// Parts of the names of functions that may lie in flash: they run only while the axes are led to their switches, and take a
-/// few hundred instructions, or once when a plan or a configuration is taken over.
-const IN_FLASH: [&[&str]; 8] = [
+/// few hundred instructions, or once when a plan, a configuration or the network's addresses are taken over.
+const IN_FLASH: [&[&str]; 11] = [
     &["7control", "6search"],
     &["7sampler", "9searching"],
     &["16leave_out_absent"],
@@ -30,6 +30,9 @@ const IN_FLASH: [&[&str]; 8] = [
     &["10robot_axes", "5adopt"],
     &["10robot_axes", "9configure"],
     &["2io", "2Io", "9configure"],
+    &["6cyclic", "Exchange", "17set_encapsulation"],
+    &["7sampler", "Sampler", "17renew_controllers"],
+    &["15torque_feedback", "11TorqueModel", "3new"],
 ];
 const ITCM: Range<u32> = 0..64 * 1024;
 const DTCM: Range<u32> = 0x2000_0000..0x2002_0000;
