@@ -3,6 +3,7 @@
 #[macro_use]
 #[path = "../again/mod.rs"]
 mod again;
+mod axes;
 mod bench;
 mod bring_up;
 mod clocks;

@@ -7,7 +7,9 @@ use etherpen::config::Config;
 use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest};
 use etherpen::ethercat::state::AlState as Wanted;
 use etherpen::messages::Command;
-use host_tools::cell::{AlState, CellOptions, ClockOptions, Fault as CellFault, Product, SiiFault, SlaveList};
+use host_tools::cell::{
+    AlState, CellOptions, ClockOptions, Fault as CellFault, Product, SiiFault, SlaveList, parse_slaves,
+};
 
 /// Longest time from an acknowledgement to what follows from it, ms.
 const ANSWER_MAX_MS: u32 = 15_000;
@@ -292,6 +294,27 @@ fn clocks_agree_in_truth_when_a_slave_that_nobody_knows_is_plugged_in() {
         assert_truly_agree(&mut robot, &drives, "a drive taken back");
         assert_eq!(come_back(&mut robot, 0), 0);
         assert_truly_agree(&mut robot, &drives, "drawn");
+    }
+}
+
+#[test]
+fn a_bus_whose_number_of_slaves_is_given_waits_for_all_of_them() {
+    for given in [0, 6] {
+        let mut config = Config::default();
+        config.bus.slaves = given;
+        let options = CellOptions {
+            slaves: parse_slaves("ax2000*4,el1008,el2004").expect("a list"),
+            ..CellOptions::default()
+        };
+        let mut robot = Robot::of(&config, options);
+        robot.inject(CellFault::Remove(6));
+        robot.configure(&config);
+        robot.run(4_000);
+        let is_up = robot.mode() == Mode::DrivesOff;
+        assert_eq!(is_up, given == 0, "{given} slaves: {:?}", robot.status);
+        robot.inject(CellFault::Insert(6));
+        robot.run(4_000);
+        come_back(&mut robot, 1);
     }
 }
 

@@ -127,12 +127,36 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         let shown = std::io::stdout().write_all(table(&report).as_bytes());
         shown.or_else(ProgramError::of_stdout)?;
     }
-    let missed = bench::missed(&report.rows);
-    if options.check && !missed.is_empty() {
-        return Err(ProgramError::new(
+    match options.check {
+        true => verdict(&bench::missed(&report.rows)),
+        false => Ok(()),
+    }
+}
+
+/// An error that names the figures that missed their targets, if there are any.
+fn verdict(missed: &[String]) -> Result<(), ProgramError> {
+    match missed {
+        [] => Ok(()),
+        missed => Err(ProgramError::new(
             code::FAILED,
             format!("missed: {}", missed.join("; ")),
-        ));
+        )),
     }
-    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_missed_target_is_a_failure_that_names_it() {
+        assert_eq!(verdict(&[]), Ok(()));
+        let missed = ["a: 5 frames, at most 4", "b: 0.5 share, at least 0.75"].map(str::to_owned);
+        let error = verdict(&missed).unwrap_err();
+        assert_eq!(error.code, code::FAILED);
+        assert!(
+            missed.iter().all(|figure| error.to_string().contains(figure)),
+            "{error}"
+        );
+    }
 }

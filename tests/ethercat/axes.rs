@@ -1,0 +1,212 @@
+//! Axes on a bus without a robot, behind what fills the first frame, at cycle times other than a millisecond.
+
+use crate::device_images::terminal_of_bytes;
+use core::future::Future;
+use core::pin::Pin;
+use core::task::{Context, Waker};
+use etherpen::drives::cia402::{DriveState, DriveTarget};
+use etherpen::drives::io::{IoGroup, IoTrigger, PositionIo};
+use etherpen::drives::{AxisLimits, AxisMode, DriveSettings, EtherCatGroup, ServoAxis, ServoDrives};
+use etherpen::ethercat::BusQueues;
+use etherpen::ethercat::cyclic::{Exchange, ExchangeKind};
+use etherpen::ethercat::event::{BusCommand, BusEvent, BusSetup};
+use etherpen::ethercat::slave_set::SlaveSet;
+use etherpen::ethercat::supervisor::Supervisor;
+use etherpen_segment::{Flywheel, Segment, SegmentOptions, SlaveKind};
+use heapless::spsc::Consumer;
+use std::f64::consts::TAU;
+
+const DRIVES: usize = 4;
+/// Terminals before them, with 32 bytes each way.
+const TERMINALS: usize = 36;
+const SLAVES: usize = TERMINALS + DRIVES;
+/// Frames behind the first one.
+const FURTHER: usize = 2;
+const MAC: [u8; 6] = [0x10, 0, 0, 0, 0, 1];
+const SPEED_MAX_RAD_S: f64 = 10.0;
+/// Increments of a turn of the virtual drive.
+const TURN: i32 = 1 << 20;
+const BRING_UP_MS_MAX: u64 = 60_000;
+
+struct Axes {
+    segment: Segment<Flywheel>,
+    group: EtherCatGroup<'static, DRIVES, SLAVES, 1024, FURTHER>,
+    axes: [ServoAxis; DRIVES],
+    settings: DriveSettings,
+    /// Where each axis is to go, increments; `None` without power.
+    targets: [Option<i32>; DRIVES],
+    supervisor: Pin<Box<dyn Future<Output = ()>>>,
+    events: Consumer<'static, BusEvent>,
+    log: Vec<BusEvent>,
+    cycle_us: u64,
+    now_us: u64,
+    polled_ms: u64,
+    /// Most telegrams of one direction in a cycle.
+    frames: usize,
+}
+
+impl Axes {
+    fn new(cycle_us: u64, exchange: ExchangeKind) -> Self {
+        let settings = DriveSettings {
+            mode: AxisMode::Position,
+            increments_per_revolution: TURN as u32,
+            digits_per_rpm: 262_144.0 / 1_875.0,
+            gear: 1.0,
+            following_error_max_rad: 1.0,
+            ..DriveSettings::default()
+        };
+        let setup = BusSetup {
+            members: DRIVES as u8,
+            settings: [settings; DRIVES],
+            exchange,
+            terminals: SlaveSet::ALL,
+            watchdog_ms: 100,
+            cycle_ns: cycle_us as u32 * 1_000,
+            ..BusSetup::default()
+        };
+        let queues = Box::leak(Box::new(BusQueues::<ServoDrives<DRIVES>, SLAVES, 1024, FURTHER>::new()));
+        let (exchange_end, supervisor_end, mut application) = queues.split();
+        assert!(application.commands.enqueue(BusCommand::Start(setup)).is_ok());
+        let options = SegmentOptions {
+            slaves: [
+                vec![SlaveKind::Sii(terminal_of_bytes(32, 32, false).into()); TERMINALS],
+                vec![SlaveKind::Cia402; DRIVES],
+            ]
+            .concat(),
+            ..SegmentOptions::default()
+        };
+        Self {
+            segment: Segment::new(&options, Flywheel::default()),
+            group: EtherCatGroup::new(Exchange::new(exchange_end, MAC)),
+            axes: [ServoAxis::with_cycle(cycle_us as u32 * 1_000); DRIVES],
+            settings,
+            targets: [None; DRIVES],
+            supervisor: Box::pin(async move {
+                let mut supervisor = Supervisor::new(supervisor_end);
+                supervisor.run().await
+            }),
+            events: application.events,
+            log: Vec::new(),
+            cycle_us,
+            now_us: 0,
+            polled_ms: 0,
+            frames: 0,
+        }
+    }
+
+    /// Exchanges the telegrams of one direction.
+    fn exchange(&mut self, after_control: bool, at_us: u64) {
+        let mut telegram = match after_control {
+            false => self.group.trigger_input().to_vec(),
+            true => self.group.trigger_output().to_vec(),
+        };
+        let mut frames = 0;
+        while !telegram.is_empty() {
+            frames += 1;
+            for reply in self.segment.frame(at_us, &telegram) {
+                self.group.arrived(&reply);
+            }
+            let exchange = self.group.exchange_mut();
+            telegram = match after_control {
+                false => exchange.next_input_telegram().to_vec(),
+                true => exchange.next_output_telegram().to_vec(),
+            };
+        }
+        self.frames = self.frames.max(frames);
+    }
+
+    fn cycle(&mut self) {
+        self.exchange(false, self.now_us);
+        if self.group.renew() {
+            for (member, axis) in self.axes.iter_mut().enumerate() {
+                let limits = AxisLimits {
+                    velocity_rad_s: SPEED_MAX_RAD_S,
+                    torque_nm: 0.0,
+                };
+                axis.adopt(self.group.drive(member).as_ref(), &self.settings, &limits);
+            }
+        }
+        for (member, axis) in self.axes.iter_mut().enumerate() {
+            let input = self.group.read(member);
+            if let Some(input) = &input {
+                axis.take(input);
+            }
+            let target = self.targets[member];
+            let wanted = if target.is_some() {
+                DriveTarget::Enabled
+            } else {
+                DriveTarget::Off
+            };
+            let output = axis.set_position(wanted, target.filter(|_| input.is_some()), 0.0);
+            self.group.write(member, &output);
+        }
+        self.exchange(true, self.now_us + self.cycle_us / 4);
+        self.now_us += self.cycle_us;
+        // The supervisor counts its polls as milliseconds.
+        while self.polled_ms * 1_000 < self.now_us {
+            self.polled_ms += 1;
+            let poll = self.supervisor.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+            assert!(poll.is_pending());
+            while let Some(event) = self.events.dequeue() {
+                self.log.push(event);
+            }
+        }
+    }
+
+    fn run_ms(&mut self, ms: u64) {
+        let end_us = self.now_us + ms * 1_000;
+        while self.now_us < end_us {
+            self.cycle();
+        }
+    }
+
+    fn angles_rad(&self) -> Vec<f64> {
+        self.segment.motors().map(|motor| motor.angle_rad).collect()
+    }
+}
+
+#[test]
+fn axes_beyond_one_frame_go_to_their_targets_at_their_limit_of_speed_whatever_the_cycle() {
+    for (cycle_us, exchange) in [(500, ExchangeKind::Combined), (4_000, ExchangeKind::Split)] {
+        let mut bus = Axes::new(cycle_us, exchange);
+        while !bus.log.contains(&BusEvent::Operational) {
+            assert!(bus.now_us < BRING_UP_MS_MAX * 1_000, "{:#?}", bus.log);
+            bus.cycle();
+        }
+        bus.run_ms(20);
+        let here: Vec<i32> = (0..DRIVES)
+            .map(|member| bus.group.read(member).expect("an input").position)
+            .collect();
+        // Every drive somewhere else, half of them backwards.
+        let turns = |member: usize| (member as f64 + 10.0) * if member % 2 == 0 { 0.1 } else { -0.1 };
+        for member in 0..DRIVES {
+            bus.targets[member] = Some(here[member]);
+        }
+        bus.run_ms(200);
+        let states: Vec<DriveState> = bus.axes.iter().map(ServoAxis::state).collect();
+        assert_eq!(states, [DriveState::OperationEnabled; DRIVES], "{cycle_us} us");
+        let begun = bus.angles_rad();
+        for member in 0..DRIVES {
+            bus.targets[member] = Some(here[member] + (turns(member) * f64::from(TURN)) as i32);
+        }
+        bus.run_ms(100);
+        let before = bus.angles_rad();
+        bus.run_ms(300);
+        for (member, (before, after)) in before.iter().zip(bus.angles_rad()).enumerate() {
+            let speed_rad_s = (after - before) / 0.3 * turns(member).signum();
+            assert!(
+                (speed_rad_s - SPEED_MAX_RAD_S).abs() < 0.1,
+                "drive {member} at {cycle_us} us: {speed_rad_s} rad/s"
+            );
+        }
+        bus.run_ms(800);
+        for (member, (begun, ended)) in begun.iter().zip(bus.angles_rad()).enumerate() {
+            let off_rad = ended - begun - turns(member) * TAU;
+            assert!(off_rad.abs() < 0.01, "drive {member} at {cycle_us} us: {off_rad} rad");
+        }
+        assert!(bus.frames > 1, "{} frames", bus.frames);
+        let counters = bus.group.exchange().counters();
+        assert_eq!((counters.frames_lost, counters.working_counter_errors), (0, 0));
+        println!("{cycle_us} us, {exchange:?}: {} frames each way at most", bus.frames);
+    }
+}
