@@ -69,7 +69,11 @@ again! {
         a_drive_that_falls_while_a_terminal_starts_up_is_named_and_all_begin_anew,
         a_drive_that_is_lost_while_a_terminal_starts_up_comes_back_unasked,
         a_terminal_that_lost_its_power_is_told_when_it_is_back,
-        two_equal_terminals_that_lost_their_power_are_both_told_when_they_are_back;
+        two_equal_terminals_that_lost_their_power_are_both_told_when_they_are_back,
+        a_stop_at_any_moment_of_the_bring_up_leaves_no_drive_in_operation,
+        a_drive_that_is_lost_for_good_during_the_bring_up_leaves_no_other_in_operation,
+        a_link_that_is_away_for_a_moment_during_the_bring_up_costs_nothing_for_ever,
+        a_loose_contact_of_an_unused_slave_takes_no_drive_out_of_operation;
     files [crate::files]
         an_acknowledgement_leaves_a_drive_in_boot_and_repairs_it_after_the_transfer,
         another_drive_is_repaired_while_one_is_in_boot,

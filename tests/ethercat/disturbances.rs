@@ -1,6 +1,7 @@
 //! Slaves that no member needs, or that leave their state by themselves, while the bus is brought up.
 
 use crate::rig::{Rig, idle_rig_of};
+use etherpen::board::PortState;
 use etherpen::ethercat::configure::Direction;
 use etherpen::ethercat::cyclic::ExchangeKind;
 use etherpen::ethercat::error::BusError;
@@ -163,10 +164,12 @@ pub(crate) fn a_drive_that_leaves_its_state_during_the_bring_up_is_named_and_the
         rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
         for (position, step, error) in rig.refusals() {
             assert_eq!(position, Some(DRIVE as u8), "at {at_ms} ms: {step:?}, {error:?}");
-            // A step that has just acknowledged the error leaves the state alone.
-            let code = error.code();
-            assert!([0x001A, 0].contains(&code), "at {at_ms} ms: {step:?}, {error:?}");
-            named += u64::from(code != 0);
+            // A step that has just acknowledged the error flag leaves only the state to be seen.
+            assert!(
+                matches!(error, BusError::State { code: 0x001A | 0, .. }),
+                "at {at_ms} ms: {step:?}, {error:?}"
+            );
+            named += u64::from(error.code() != 0);
         }
         rig.run_ms(150);
         if rig.al_state_of(DRIVE) != AlState::Operational {
@@ -313,6 +316,83 @@ pub(crate) fn a_stop_while_a_terminal_starts_up_takes_the_drives_out_of_operatio
 }
 
 #[test]
+pub(crate) fn a_stop_at_any_moment_of_the_bring_up_leaves_no_drive_in_operation() {
+    let whole_ms = undisturbed_ms("ax2000*4", SlaveSet::NONE);
+    for at_ms in 0..whole_ms {
+        let mut rig = rig_of("ax2000*4", SlaveSet::NONE).started();
+        rig.run_ms(at_ms as u32);
+        assert!(rig.commands.enqueue(BusCommand::Stop).is_ok());
+        rig.wait_for(1_000, |event| *event == BusEvent::Stopped);
+        rig.run_ms(100);
+        for drive in 0..AXES {
+            assert_ne!(
+                rig.al_state_of(drive),
+                AlState::Operational,
+                "drive {drive}, {at_ms} ms"
+            );
+        }
+    }
+}
+
+#[test]
+pub(crate) fn a_drive_that_is_lost_for_good_during_the_bring_up_leaves_no_other_in_operation() {
+    let whole_ms = undisturbed_ms("ax2000*4", SlaveSet::NONE);
+    for moment in 0..MOMENTS {
+        let at_ms = whole_ms * moment / MOMENTS;
+        let mut rig = rig_of("ax2000*4", SlaveSet::NONE).started();
+        rig.run_ms(at_ms as u32);
+        rig.cell.inject(Fault::Power(AXES, 60_000));
+        rig.run_ms(1_500);
+        assert!(!rig.log.contains(&BusEvent::Operational), "{at_ms} ms: {:#?}", rig.log);
+        for drive in 0..AXES - 1 {
+            assert_ne!(
+                rig.al_state_of(drive),
+                AlState::Operational,
+                "drive {drive}, {at_ms} ms"
+            );
+        }
+    }
+}
+
+#[test]
+pub(crate) fn a_link_that_is_away_for_a_moment_during_the_bring_up_costs_nothing_for_ever() {
+    let whole_ms = undisturbed_ms("ax2000*4", SlaveSet::NONE);
+    for (moment, away_ms) in (0..MOMENTS).flat_map(|moment| [(moment, 8), (moment, 150)]) {
+        let at_ms = whole_ms * moment / MOMENTS;
+        let mut rig = rig_of("ax2000*4", SlaveSet::NONE).started();
+        rig.run_ms(at_ms as u32);
+        assert!(rig.commands.enqueue(BusCommand::Port(PortState::Down)).is_ok());
+        rig.cell.inject(Fault::Stall(away_ms));
+        rig.run_ms(away_ms as u32);
+        assert!(rig.commands.enqueue(BusCommand::Port(PortState::Up)).is_ok());
+        let has_come = |rig: &Rig| rig.log.contains(&BusEvent::Operational);
+        if !has_come(&rig) {
+            rig.wait_for(2 * BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+        }
+        rig.run_ms(50);
+        rig.assert_drives_operate(&format!("{away_ms} ms away at {at_ms} ms"));
+    }
+}
+
+#[test]
+pub(crate) fn a_loose_contact_of_an_unused_slave_takes_no_drive_out_of_operation() {
+    let mut rig = while_a_terminal_starts_up();
+    for _ in 0..20 {
+        // It is the last of the chain but one: the terminal behind it goes and comes with it.
+        rig.cell.inject(Fault::Power(AXES + 1, 60));
+        rig.run_ms(120);
+        rig.assert_drives_operate("with a loose contact behind them");
+    }
+    assert_eq!(rig.refusals(), []);
+    assert!(rig.log.contains(&BusEvent::Operational), "{:#?}", rig.log);
+    rig.run_ms(4_000);
+    rig.recover();
+    rig.wait_for(2 * BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+    assert_eq!(rig.al_state_of(AXES + 1), AlState::Operational);
+    rig.assert_drives_operate("after a loose contact");
+}
+
+#[test]
 pub(crate) fn a_new_setup_while_a_terminal_starts_up_begins_in_init() {
     let mut rig = while_a_terminal_starts_up();
     rig.start();
@@ -347,7 +427,8 @@ pub(crate) fn a_drive_that_is_lost_while_a_terminal_starts_up_comes_back_unasked
     for off_ms in [60, 2_000] {
         let mut rig = while_a_terminal_starts_up();
         rig.cell.inject(Fault::Power(AXES, off_ms));
-        rig.wait_for(1_000, |event| matches!(event, BusEvent::Refused { .. }));
+        let is_named = |event: &BusEvent| matches!(event, BusEvent::Refused { position: Some(place), step: Step::Watch, .. } if usize::from(*place) == AXES - 1);
+        rig.wait_for(1_000, is_named);
         rig.wait_for(2 * BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
         rig.assert_drives_operate(&format!("off for {off_ms} ms"));
     }

@@ -216,28 +216,45 @@ fn chosen_process_data_are_assigned_mapped_and_found_where_they_lie() {
 fn a_chain_that_goes_off_as_a_whole_is_not_reported_in_operation_and_comes_up_unasked() {
     use SlaveKind::{Ek1100, El1008, El2004};
     let chain = [Ek1100, El1008, El2004, El1008];
-    let took_ms = Bench::new(&chain, 1_000, ExchangeKind::Split, &[]).operational();
-    assert!(took_ms > 50, "{took_ms}");
-    for off_at_ms in (5..took_ms - 20).step_by(7) {
-        let mut bench = Bench::new(&chain, 1_000, ExchangeKind::Split, &[]);
-        bench.run_ms(off_at_ms);
-        for slave in 1..=chain.len() {
-            bench.segment.inject(Fault::Power(slave, 400));
-        }
-        bench.run_ms(390);
-        assert!(
-            !bench.log.contains(&BusEvent::Operational),
-            "off at {off_at_ms} ms: {:#?}",
-            bench.log
-        );
-        bench.operational();
-        for (slave, state) in bench.segment.slaves().iter().enumerate() {
-            assert_eq!(
-                state.al_state,
-                AlState::Operational,
-                "slave {slave}, off at {off_at_ms} ms: {:#?}",
-                bench.log
-            );
+    for (cycle_us, terminals) in [
+        (1_000, SlaveSet::ALL),
+        (1_000, SlaveSet::places(&[1, 2, 3])),
+        (250, SlaveSet::places(&[1, 3])),
+    ] {
+        let begun = || {
+            let setup = BusSetup {
+                terminals,
+                cycle_ns: cycle_us * 1_000,
+                watchdog_ms: 100,
+                ..BusSetup::default()
+            };
+            let options = SegmentOptions {
+                slaves: chain.to_vec(),
+                ..SegmentOptions::default()
+            };
+            Bench::start(&options, setup)
+        };
+        let took_ms = begun().operational();
+        assert!(took_ms > 50, "{took_ms}");
+        for off_at_ms in (0..took_ms - 3).step_by(3) {
+            let mut bench = begun();
+            bench.run_ms(off_at_ms);
+            for slave in 1..=chain.len() {
+                bench.segment.inject(Fault::Power(slave, 400));
+            }
+            bench.run_ms(390);
+            let what = format!("off at {off_at_ms} of {took_ms} ms, {terminals:?}");
+            assert!(!bench.log.contains(&BusEvent::Operational), "{what}: {:#?}", bench.log);
+            bench.operational();
+            for (slave, state) in bench.segment.slaves().iter().enumerate() {
+                let is_in_operation = state.al_state == AlState::Operational;
+                assert_eq!(
+                    is_in_operation,
+                    terminals.contains(slave),
+                    "slave {slave}, {what}: {:#?}",
+                    bench.log
+                );
+            }
         }
     }
 }

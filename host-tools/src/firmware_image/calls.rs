@@ -88,7 +88,7 @@ impl<'a> CallGraph<'a> {
     }
 
     /// Functions whose address is taken by code or stored in the image as data, except in the vector table. An instruction
-    /// that reads like an address is none.
+    /// that reads like an address is not counted.
     fn taken(&self) -> BTreeSet<u32> {
         let formed = self.nodes.values().flat_map(|node| node.takes.iter().copied());
         let mut taken: BTreeSet<u32> = formed.filter(|address| self.nodes.contains_key(address)).collect();

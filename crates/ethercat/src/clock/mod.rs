@@ -328,8 +328,9 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
         }
     }
     let is_junction = |slave: &PortTimes| slave.has_clock && slave.open.count_ones() > 2;
-    if ports.iter().any(is_junction) {
-        add_strangers(port, stations, &mut there, &mut ports).await?;
+    // With a stranger that goes or comes meanwhile the delays stay as they were measured before.
+    if ports.iter().any(is_junction) && add_strangers(port, stations, &mut there, &mut ports).await != Ok(true) {
+        return Ok(());
     }
     for (position, delay_ns) in there.iter().zip(propagation_delays_ns::<SLAVES>(&ports)) {
         if let Some(slave) = clocks.slaves.get_mut(*position) {
@@ -340,25 +341,28 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
 }
 
 /// Puts slaves whose places are not known between those at `there`, as parts of their cables: at a junction they decide in
-/// which branch the others are. Does nothing if the chain has no other slaves, or more than there is room for.
+/// which branch the others are. Returns false if the chain is not in the order of `there`, or has more slaves than there is
+/// room for.
 async fn add_strangers<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
     there: &mut Vec<usize, SLAVES>,
     ports: &mut Vec<PortTimes, SLAVES>,
-) -> Result<(), BusError> {
-    let found = discovery::count(port).await?;
-    let mut places = Vec::<u16, SLAVES>::new();
-    if usize::from(found) <= there.len() || usize::from(found) > SLAVES {
-        return Ok(());
+) -> Result<bool, BusError> {
+    let (found, known) = (discovery::count(port).await?, there.len());
+    if usize::from(found) <= known {
+        return Ok(true);
     }
+    if usize::from(found) > SLAVES {
+        return Ok(false);
+    }
+    let mut places = Vec::<u16, SLAVES>::new();
     discovery::stations(port, found, &mut places).await?;
-    let is_known = |number: usize, station: u16, there: &[usize]| {
-        let position = there.get(number).and_then(|position| stations.get(*position));
-        position == Some(&station)
-    };
     for (place, station) in (0_u16..).zip(&places) {
-        if is_known(place.into(), *station, there) {
+        let position = there
+            .get(usize::from(place))
+            .and_then(|position| stations.get(*position));
+        if position == Some(station) {
             continue;
         }
         let address = Address::position(place, register::DL_STATUS);
@@ -369,13 +373,13 @@ async fn add_strangers<const SLAVES: usize, const MESSAGE: usize>(
             open: open_ports(read_u16(&status, 0)),
             ..PortTimes::default()
         };
-        // There is room for all that were found.
-        let _ = (
-            there.insert(place.into(), usize::MAX),
-            ports.insert(place.into(), stranger),
-        );
+        let inserted = there.insert(place.into(), usize::MAX).is_ok() && ports.insert(place.into(), stranger).is_ok();
+        if !inserted {
+            return Ok(false);
+        }
     }
-    Ok(())
+    // Known slaves in another order would each count as a stranger too.
+    Ok(there.len() == usize::from(found))
 }
 
 /// Reads a slave's open ports and the times that it has latched.

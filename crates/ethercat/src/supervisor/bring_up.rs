@@ -64,6 +64,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         self.choose_terminals();
         self.check_members().await?;
         self.choose_exchange().await?;
+        self.read_reports().await;
         self.introduce_all().await;
         self.send_plan().await;
         Ok(())
@@ -458,6 +459,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             let result = clock::await_agreement(&mut self.port, slave.station(), self.setup.settling).await;
             result.map_err(at(Step::Clocks))?;
         }
+        self.asked_for_operation = true;
         self.change_state(number, AlState::Operational, Step::Operational)
             .await?;
         self.confirm(number).await.map_err(at(Step::Objects))?;
@@ -521,6 +523,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         }
         self.send_safe_plan().await;
         self.port.wait_ms(SAFE_OUTPUTS_MS).await;
+        self.read_reports().await;
         for target in [AlState::SafeOperational, AlState::PreOperational, AlState::Init] {
             for number in 0..self.slaves.len() {
                 let Some(slave) = self.slaves.get_mut(number) else {
@@ -547,6 +550,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 _ => Condition::Unused,
             };
         }
+        self.asked_for_operation = false;
         self.send_plan().await;
     }
 }

@@ -27,6 +27,9 @@ const PLAN_MS: u32 = 3;
 /// Slaves inspected in one frame.
 pub(super) const LOOK_MAX: usize = IN_FLIGHT_MAX;
 
+/// What a request to a slave that is not there ends with.
+pub(super) const LOST_SLAVE: BusError = BusError::WorkingCounter { expected: 1, actual: 0 };
+
 /// A slave's file that is open, see `files`.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct OpenFile {
@@ -68,6 +71,10 @@ pub(super) struct Bus<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     pub(super) generation: u8,
     worked_on: Option<usize>,
     pub(super) cable_next: usize,
+    /// Whether a slave in use was asked to go to OP since the last time all were taken out of it.
+    pub(super) asked_for_operation: bool,
+    /// Whether the bus was brought up.
+    pub(super) is_running: bool,
     /// Whether a slave has fallen silent since the chain was last looked through: it may return without its address.
     pub(super) has_lost: bool,
     pub(super) events_dropped: u32,
@@ -100,6 +107,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             generation: 0,
             worked_on: None,
             cable_next: 0,
+            asked_for_operation: false,
+            is_running: false,
             has_lost: false,
             events_dropped: 0,
             value: Vec::new(),
@@ -139,33 +148,33 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         self.emit(BusEvent::TerminalRefused { position, step, error }).await;
     }
 
-    /// Whether a member has left its state or is lost.
-    pub(super) fn has_disturbed_member(&self) -> bool {
-        let mut members = self.slaves.iter().filter(|slave| slave.member.is_some());
-        members.any(|slave| matches!(slave.condition, Condition::Lost | Condition::LeftOperational))
+    /// Why a member does not operate as it should: the first that is lost, else the first that has left its state. One that was
+    /// away for a moment counts as lost.
+    pub(super) fn disturbed_member(&self) -> Option<Failure> {
+        let members = || self.slaves.iter().filter(|slave| slave.member.is_some());
+        let is_lost = |slave: &&Slave<F>| match slave.condition {
+            Condition::Lost => true,
+            Condition::LeftOperational => slave.report.is(AlState::Operational),
+            _ => false,
+        };
+        let lost = members().find(is_lost).map(|slave| (slave, LOST_SLAVE));
+        let left = || {
+            let left = members().find(|slave| slave.condition == Condition::LeftOperational);
+            left.map(|slave| (slave, slave.report.instead_of(AlState::Operational)))
+        };
+        lost.or_else(left)
+            .map(|(slave, error)| Failure::of(slave.position, Step::Watch)(error))
     }
 
-    /// The first member that is there and has left its state, with its place in the chain and its report.
-    pub(super) fn left_member(&self) -> Option<(u16, AlReport)> {
-        let has_left = |slave: &&Slave<F>| slave.member.is_some() && slave.condition == Condition::LeftOperational;
-        self.slaves
-            .iter()
-            .find(has_left)
-            .map(|slave| (slave.position, slave.report))
-    }
-
-    /// Whether a slave in use is in OP.
-    pub(super) fn has_operational(&self) -> bool {
-        let is_operational = |slave: &Slave<F>| slave.condition == Condition::Operational;
-        self.slaves.iter().any(is_operational)
-    }
-
-    /// The terminal with this number and why it is refused, if it has left its state.
-    pub(super) fn left_terminal(&self, number: usize) -> Option<(usize, Failure)> {
-        let slave = self.slaves.get(number)?;
-        let has_left = slave.is_terminal && slave.condition == Condition::LeftOperational;
-        let error = slave.report.instead_of(AlState::Operational);
-        has_left.then(|| (number, Failure::of(slave.position, Step::Watch)(error)))
+    /// The terminal with this number and why it is refused, if it has left its state, or is given up.
+    pub(super) fn left_terminal(&self, number: usize, is_given_up: bool) -> Option<(usize, Failure)> {
+        let slave = self.slaves.get(number).filter(|slave| slave.is_terminal)?;
+        let has_left = slave.condition == Condition::LeftOperational;
+        let error = match slave.condition {
+            Condition::Lost => LOST_SLAVE,
+            _ => slave.report.instead_of(AlState::Operational),
+        };
+        (has_left || is_given_up).then(|| (number, Failure::of(slave.position, Step::Watch)(error)))
     }
 
     /// Whether a slave is being brought up, and was not refused.
@@ -194,15 +203,19 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         self.emit(event).await;
     }
 
-    /// Reports all slaves with their present states.
+    /// Reports all slaves with their last known states.
     pub(super) async fn introduce_all(&mut self) {
+        for number in 0..self.slaves.len() {
+            self.introduce(number).await;
+        }
+    }
+
+    /// Reads the states of all slaves that answer.
+    pub(super) async fn read_reports(&mut self) {
         for first in (0..self.slaves.len()).step_by(LOOK_MAX) {
             let reports = self.reports(first..first + LOOK_MAX).await;
-            for (number, report) in (first..).zip(reports) {
-                if let Some(slave) = self.slaves.get_mut(number) {
-                    slave.report = report.unwrap_or_default();
-                }
-                self.introduce(number).await;
+            for (slave, report) in self.slaves.iter_mut().skip(first).zip(reports) {
+                slave.report = report.unwrap_or(slave.report);
             }
         }
     }

@@ -10,7 +10,7 @@
 //!
 //! Invariants: a slave whose file is being transferred in BOOT is left there, whatever is commanded; a slave in use is
 //! only repaired on command; a slave is only taken back if it is the product that was there before; every wait ends;
-//! while work on one slave is in progress, a slave that stops answering or leaves OP is detected within 100 ms, or 200 ms
+//! while work on one slave is in progress, a slave that stops answering, or a member that leaves OP, is detected within 100 ms, or 200 ms
 //! in a chain of more than 32. One that leaves OP with its error flag set is detected after that work, if a slave that
 //! waits for its own repair shows that flag already: the answers of all slaves come as one sum.
 
@@ -34,10 +34,9 @@ use super::error::BusError;
 pub use super::event::{BusCommand, BusEvent, BusSetup, Step};
 use super::slave::Condition;
 use super::slave_set::SlaveSet;
-use super::state::AlState;
 use crate::port_state::PortState;
 pub use bring_up::DISCOVERY_TIMEOUT_MS;
-use bus::Bus;
+use bus::{Bus, LOST_SLAVE};
 use core::pin::pin;
 use heapless::Vec;
 use heapless::spsc::{Consumer, Producer};
@@ -45,8 +44,10 @@ use inbox::{Expectation, Inbox, Interruption, SUSPICION_MS, WORK_SUSPICION_MS, W
 
 /// Pause between two inspections for one suspicion, ms.
 const INSPECTION_PAUSE_MS: u32 = 50;
-/// Pause between two routine inspections of a few slaves in turn, ms.
+/// Period of the routine inspection of a few slaves in turn, ms.
 const LOOK_PERIOD_MS: u32 = 20;
+/// Shortest pause between two of them, ms.
+const LOOK_PAUSE_MS: u32 = SUSPICION_MS + 2;
 /// Longest wait for the Ethernet port's link before a bring-up, ms: switches and drives need some seconds to start.
 pub const LINK_TIMEOUT_MS: u32 = 5_000;
 /// How often a repair is restarted after another slave has interrupted it.
@@ -123,6 +124,11 @@ impl Failure {
             error,
         }
     }
+
+    /// Whether it says that a slave is not there.
+    fn is_of_lost_slave(&self) -> bool {
+        self.position.is_some() && self.error == LOST_SLAVE
+    }
 }
 
 /// A guarded step of the bring-up after the slaves are found: their clocks, or one slave to one state.
@@ -161,8 +167,8 @@ pub struct Supervisor<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     phase: Phase,
     /// Number of slaves at the last rescan, or at the failed bring-up.
     slaves_sorted: u16,
-    /// From when on the pause before the next bring-up counts: when that number changed, or when a bring-up failed that may
-    /// succeed without a change; `None` without a next one.
+    /// When the pause before the next bring-up began: when that number changed, or when a bring-up failed that may succeed
+    /// without a change; `None` if none will follow.
     changed_ms: Option<u32>,
     /// Whether the pause before the next bring-up is the long one.
     waits_long: bool,
@@ -225,10 +231,6 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
     /// Runs the supervisor and never returns. Poll the future once a millisecond.
     pub async fn run(&mut self) -> ! {
         loop {
-            if self.phase == Phase::Failed && self.bus.has_operational() {
-                // The bring-up ended when some slaves were in OP already.
-                self.bus.shut_down().await;
-            }
             let command = self.inbox.commands.dequeue();
             if matches!(command, Some(BusCommand::Start(_) | BusCommand::Recover)) {
                 self.retries = 0;
@@ -290,13 +292,14 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
     /// Brings the whole bus up, unless a slave's file is being transferred.
     async fn start(&mut self) {
         (self.phase, self.changed_ms, self.strangers) = (Phase::Failed, None, 0);
-        self.bus.has_lost = false;
+        (self.bus.has_lost, self.bus.is_running) = (false, false);
         self.slaves_sorted = self.inbox.slaves();
         if let Some(number) = self.bus.transferring().await {
             self.bus.refuse_for_file(number).await;
             return;
         }
         if self.link_missing_after_wait().await {
+            (self.waits_long, self.changed_ms) = (false, Some(self.bus.port.now_ms()));
             // A command that arrived meanwhile is carried out instead.
             if !self.inbox.commands.ready() {
                 self.report_missing_link().await;
@@ -304,45 +307,49 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             return;
         }
         let result = self.bring_up().await;
-        match result {
+        self.conclude(result).await;
+        if self.phase != Phase::Running && self.bus.asked_for_operation {
+            self.bus.shut_down().await;
+        }
+    }
+
+    /// Reports how a bring-up has ended, and decides whether it is repeated without a command.
+    async fn conclude(&mut self, result: Result<Result<(), Failure>, Interruption>) {
+        let (failure, may_be_over) = match result {
             Ok(Ok(())) => {
-                self.phase = Phase::Running;
+                (self.phase, self.bus.is_running) = (Phase::Running, true);
                 self.slaves_sorted = self.bus.slaves.len() as u16;
                 self.bus.emit(BusEvent::Operational).await;
+                return;
             }
             Ok(Err(failure)) => {
                 self.slaves_sorted = match failure.error {
                     BusError::SlaveCount { actual, .. } => actual,
                     _ => self.inbox.slaves(),
                 };
-                // A slave that was lost meanwhile may be back already.
-                self.waits_long = may_pass(&failure.error);
-                let is_tried_again = self.waits_long || self.bus.has_lost;
-                self.changed_ms = is_tried_again.then_some(self.bus.port.now_ms());
-                self.bus.refuse(failure).await;
+                let may_be_over = may_pass(&failure.error) || self.bus.has_lost;
+                (failure, may_be_over)
             }
-            Err(Interruption::Command) => {}
-            Err(Interruption::Bus) if self.inbox.port.is_down() => self.report_missing_link().await,
+            Err(Interruption::Command) => return,
+            Err(Interruption::Bus) if self.inbox.port.is_down() => {
+                (self.waits_long, self.changed_ms) = (false, Some(self.bus.port.now_ms()));
+                return self.report_missing_link().await;
+            }
             Err(Interruption::Bus) => {
                 self.slaves_sorted = self.inbox.slaves();
                 self.bus.inspect(0..SLAVES).await;
-                let left = self.bus.left_member();
-                // Whatever it was may be over the next time. A slave that was lost may be back already.
-                self.waits_long = !self.bus.has_lost;
-                self.changed_ms = Some(self.bus.port.now_ms());
                 let error = BusError::SlaveCount {
                     expected: self.bus.slaves.len() as u16,
                     actual: self.inbox.slaves(),
                 };
-                let failure = match left {
-                    Some((position, report)) => {
-                        Failure::of(position, Step::Watch)(report.instead_of(AlState::Operational))
-                    }
-                    None => Failure::bus(Step::Watch)(error),
-                };
-                self.bus.refuse(failure).await;
+                let failure = self.bus.disturbed_member();
+                (failure.unwrap_or(Failure::bus(Step::Watch)(error)), true)
             }
-        }
+        };
+        // A member that was lost may be back already.
+        self.waits_long = !self.bus.has_lost || may_pass(&failure.error) && !failure.is_of_lost_slave();
+        self.changed_ms = may_be_over.then_some(self.bus.port.now_ms());
+        self.bus.refuse(failure).await;
     }
 
     /// Waits for the port's link, which takes some seconds after a common power-up; returns early when another command
@@ -383,7 +390,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 }
                 // Some slaves need process data soon after they have reached SAFEOP.
                 self.bus.send_plan().await;
-                self.check_members().await?;
+                self.watch_members().await?;
             }
             for number in 0..self.bus.slaves.len() {
                 if self.bus.is_terminal(number) != of_terminals {
@@ -392,26 +399,27 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 if let Err(failure) = self.step(BringUpStep::Operational(number)).await? {
                     return Ok(Err(failure));
                 }
-                self.check_members().await?;
+                self.watch_members().await?;
             }
             self.bus.send_plan().await;
         }
-        if self.bus.present() == 0 {
+        self.bus.inspect(0..SLAVES).await;
+        if self.bus.present() == 0 || self.bus.disturbed_member().is_some() {
             return Err(Interruption::Bus);
         }
         self.bus.introduce_all().await;
         Ok(Ok(()))
     }
 
-    /// Looks whether a member has left OP while another slave was brought to a state: an error flag that was there before hides
-    /// that.
-    async fn check_members(&mut self) -> Result<(), Interruption> {
-        if self.bus.has_operational() {
+    /// Looks whether a member has left OP while another slave was brought to a state: the sum of all answers hides it if another
+    /// slave shows its error flag already.
+    async fn watch_members(&mut self) -> Result<(), Interruption> {
+        if self.bus.asked_for_operation {
             self.bus.inspect(0..SLAVES).await;
         }
-        match self.bus.has_disturbed_member() {
-            true => Err(Interruption::Bus),
-            false => Ok(()),
+        match self.bus.disturbed_member() {
+            Some(_) => Err(Interruption::Bus),
+            None => Ok(()),
         }
     }
 
@@ -428,17 +436,22 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 BringUpStep::Operational(_) => return Ok(Ok(())),
             };
             match (result, step.slave()) {
-                (Err(Interruption::Bus), number) if tries < DISTURBANCES_MAX && !self.inbox.port.is_down() => {
+                (Err(Interruption::Bus), number) if !self.inbox.port.is_down() => {
                     tries += 1;
                     self.bus.inspect(0..SLAVES).await;
                     let is_empty = self.bus.present() == 0;
-                    if self.bus.has_disturbed_member() || is_empty || self.inbox.port.is_down() {
+                    if self.bus.disturbed_member().is_some() || is_empty || self.inbox.port.is_down() {
                         return Err(Interruption::Bus);
                     }
                     self.strangers = self.inbox.slaves().saturating_sub(self.bus.present());
-                    if let Some((number, failure)) = number.and_then(|number| self.bus.left_terminal(number)) {
-                        self.bus.refuse_terminal(number, failure).await;
-                        return Ok(Ok(()));
+                    let is_over = tries >= DISTURBANCES_MAX;
+                    match number.and_then(|number| self.bus.left_terminal(number, is_over)) {
+                        Some((number, failure)) => {
+                            self.bus.refuse_terminal(number, failure).await;
+                            return Ok(Ok(()));
+                        }
+                        None if is_over => return Err(Interruption::Bus),
+                        None => {}
                     }
                 }
                 (Ok(Err(failure)), Some(number)) if self.bus.is_terminal(number) => {
@@ -507,8 +520,10 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             self.inspect_all().await;
         } else if now_ms.wrapping_sub(self.looked_ms) >= LOOK_PERIOD_MS {
             self.look().await;
-            // Requests to slaves that do not answer take long: what looks wrong is counted between two looks.
-            self.looked_ms = self.bus.port.now_ms();
+            // Requests to slaves that do not answer take long: what looks wrong has to be counted between two looks.
+            let took_ms = self.bus.port.now_ms().wrapping_sub(now_ms);
+            let later_ms = (took_ms + LOOK_PAUSE_MS).saturating_sub(LOOK_PERIOD_MS);
+            self.looked_ms = now_ms.wrapping_add(later_ms);
         }
     }
 
@@ -634,10 +649,10 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
 
     /// Takes the slaves out of OP: safe outputs are sent first, then the states follow.
     async fn stop(&mut self) {
-        if self.phase == Phase::Running {
+        if self.phase == Phase::Running || self.bus.asked_for_operation {
             self.bus.shut_down().await;
         }
-        self.phase = Phase::Stopped;
+        (self.phase, self.bus.is_running) = (Phase::Stopped, false);
     }
 
     /// Carries out a request and answers it.
@@ -666,7 +681,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             // A slave that erases its memory may take longer over a packet than a file may lie idle.
             bus.use_file();
         }
-        if request.slave().is_some() && self.waits_long {
+        if request.slave().is_some() {
             // Whoever looks for the reason is not interrupted by the next bring-up.
             self.changed_ms = self.changed_ms.map(|_| bus.port.now_ms());
         }
@@ -684,21 +699,29 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
     }
 }
 
+/// AL status codes of what may be over the next time: no code, unspecified, synchronisation error, watchdog, fatal
+/// synchronisation error, no signal, PLL, communication, information memory not given or damaged, restarted by itself.
+const PASSING_CODES: [u16; 11] = [
+    0x0000, 0x0001, 0x001A, 0x001B, 0x002C, 0x002D, 0x0032, 0x0042, 0x0050, 0x0051, 0x0060,
+];
+
 /// Whether what went wrong may be over the next time although the chain does not change: a slave was too slow, left its state or
 /// was lost for a moment. Other errors are of the chain, or of what is asked for.
 fn may_pass(error: &BusError) -> bool {
-    matches!(
-        error,
+    match error {
+        BusError::State { code, .. } => PASSING_CODES.contains(code),
+        // The last slaves came when the wait was over.
+        BusError::SlaveCount { expected, actual } => actual >= expected,
         BusError::Lost { .. }
-            | BusError::WorkingCounter { .. }
-            | BusError::SiiBusy { .. }
-            | BusError::RequestUnread { .. }
-            | BusError::State { .. }
-            | BusError::StateTimeout { .. }
-            | BusError::MailboxTimeout { .. }
-            | BusError::NoInputs { .. }
-            | BusError::ClockDifference { .. }
-    )
+        | BusError::WorkingCounter { .. }
+        | BusError::SiiBusy { .. }
+        | BusError::RequestUnread { .. }
+        | BusError::StateTimeout { .. }
+        | BusError::MailboxTimeout { .. }
+        | BusError::NoInputs { .. }
+        | BusError::ClockDifference { .. } => true,
+        _ => false,
+    }
 }
 
 /// A list with a place for each slave of one inspection.

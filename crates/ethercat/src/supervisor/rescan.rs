@@ -43,7 +43,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     }
 
     /// Looks at one place, and notes there the address that its slave has got; returns whether it is an extra one. `seen` are
-    /// the slaves that were found back at places before.
+    /// the slaves that were found again at places before.
     async fn sort(&mut self, place: usize, places: &mut Places, seen: &mut SlaveSet) -> Result<bool, BusError> {
         let station = places.get(place).copied().unwrap_or(0);
         if self.number_of(station).is_some() {

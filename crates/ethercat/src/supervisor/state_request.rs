@@ -70,7 +70,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         self.introduce(number).await;
         if target == AlState::Operational && slave.is_used() && report.is(target) {
             self.set_condition(number, Condition::Operational);
-            if self.is_operational() {
+            if self.is_running && self.is_operational() {
                 self.emit(BusEvent::Operational).await;
             }
         }

@@ -302,12 +302,15 @@ impl<'e> Operator<'e> {
         match event {
             LinkEvent::Answered { id, command, result } => {
                 self.awaited.take_if(|(awaited, _)| *awaited == id);
-                self.misses_terminal |= matches!(
-                    result,
-                    Err(Refusal::CauseRemains(Reason::StopInput {
-                        cause: InputCause::Missing,
-                        ..
-                    }))
+                self.misses_terminal = matches!(
+                    (&command, result),
+                    (
+                        Command::Enable,
+                        Err(Refusal::CauseRemains(Reason::StopInput {
+                            cause: InputCause::Missing,
+                            ..
+                        }))
+                    )
                 );
                 self.judge.answered(&command, result.is_ok());
             }
