@@ -94,6 +94,8 @@ pub struct BusClocks<const SLAVES: usize> {
     /// Number of slaves whose place in the chain is known. Those behind them are extra ones, wherever they are: the time is
     /// written to their clocks too, which are counted for that, and nothing else.
     ordered: u8,
+    /// Whether the delays could not be computed from the last measurement.
+    are_due: bool,
     /// Whether a clock of 32 bits was replaced: it may have told the others a time without an upper half.
     was_narrow: bool,
     /// Number of the time, see [`ReferenceClock::time_number`].
@@ -328,10 +330,21 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
         }
     }
     let is_junction = |slave: &PortTimes| slave.has_clock && slave.open.count_ones() > 2;
-    // With a stranger that goes or comes meanwhile the delays stay as they were measured before.
-    if ports.iter().any(is_junction) && add_strangers(port, stations, &mut there, &mut ports).await != Ok(true) {
-        return Ok(());
+    if ports.iter().any(is_junction) {
+        let is_known = match add_strangers(port, stations, &mut there, &mut ports).await {
+            // A stranger has gone meanwhile.
+            Err(BusError::WorkingCounter { .. }) => {
+                clocks.are_due = true;
+                false
+            }
+            known => known?,
+        };
+        if !is_known {
+            // The delays stay as they were measured before.
+            return Ok(());
+        }
     }
+    clocks.are_due = false;
     for (position, delay_ns) in there.iter().zip(propagation_delays_ns::<SLAVES>(&ports)) {
         if let Some(slave) = clocks.slaves.get_mut(*position) {
             slave.delay_ns = delay_ns;
@@ -538,7 +551,7 @@ pub async fn tell_delays<const SLAVES: usize, const MESSAGE: usize>(
     }
     // Delays of different measurements have different beginnings.
     let mut there = clocks.slaves.iter().enumerate();
-    if there.any(|(position, slave)| is_there(position, slave) && !slave.measured) {
+    if clocks.are_due || there.any(|(position, slave)| is_there(position, slave) && !slave.measured) {
         measure(port, stations, clocks, &answers).await?;
     }
     for (position, station) in stations.iter().enumerate() {

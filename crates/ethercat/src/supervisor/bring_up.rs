@@ -529,9 +529,11 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 let Some(slave) = self.slaves.get_mut(number) else {
                     continue;
                 };
-                let above = slave.report.state().is_some_and(|state| state as u8 > target as u8);
-                let is_left = transferring == Some(number);
-                if !slave.is_used() || slave.condition == Condition::Lost || !above || is_left {
+                let is_lost = slave.condition == Condition::Lost;
+                // A slave that is there and whose state could not be read may be in any.
+                let state = slave.report.state();
+                let above = state.map_or(!is_lost, |state| state as u8 > target as u8);
+                if !slave.is_used() || !above || transferring == Some(number) {
                     continue;
                 }
                 if state::change(&mut self.port, slave.station(), target).await.is_ok() {

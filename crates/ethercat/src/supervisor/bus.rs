@@ -15,7 +15,7 @@ use super::super::slave_set::SlaveSet;
 use super::super::state::{AlReport, AlState};
 use super::super::wire::{Address, Command, register};
 use super::inbox::{Expectation, STATUS_MASK};
-use super::{Failure, LookList};
+use super::{DISTURBANCES_MAX, Failure, LookList};
 use core::ops::Range;
 use heapless::Vec;
 use heapless::spsc::Producer;
@@ -171,8 +171,11 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         let slave = self.slaves.get(number).filter(|slave| slave.is_terminal)?;
         let has_left = slave.condition == Condition::LeftOperational;
         let error = match slave.condition {
+            _ if has_left => slave.report.instead_of(AlState::Operational),
             Condition::Lost => LOST_SLAVE,
-            _ => slave.report.instead_of(AlState::Operational),
+            _ => BusError::Lost {
+                tries: DISTURBANCES_MAX,
+            },
         };
         (has_left || is_given_up).then(|| (number, Failure::of(slave.position, Step::Watch)(error)))
     }

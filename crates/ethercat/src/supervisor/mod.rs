@@ -172,6 +172,8 @@ pub struct Supervisor<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     changed_ms: Option<u32>,
     /// Whether the pause before the next bring-up is the long one.
     waits_long: bool,
+    /// Whether slaves have to be taken out of OP once the port has a link.
+    leaves_later: bool,
     /// Bring-ups since the last command that began without one.
     retries: u8,
     /// Rescans of this number that failed, one after the other.
@@ -215,6 +217,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             slaves_sorted: 0,
             changed_ms: None,
             waits_long: false,
+            leaves_later: false,
             retries: 0,
             rescans_failed: 0,
             inspected_ms: 0,
@@ -270,6 +273,9 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
     async fn await_change(&mut self) {
         self.bus.port.wait_ms(1).await;
         self.inbox.observe(&Expectation::ANYTHING);
+        if self.leaves_later {
+            self.leave_operation().await;
+        }
         let (there, now_ms) = (self.inbox.slaves(), self.bus.port.now_ms());
         if there != self.slaves_sorted {
             (self.slaves_sorted, self.changed_ms, self.waits_long) = (there, Some(now_ms), false);
@@ -306,9 +312,18 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             }
             return;
         }
+        self.leave_operation().await;
         let result = self.bring_up().await;
         self.conclude(result).await;
-        if self.phase != Phase::Running && self.bus.asked_for_operation {
+        if self.phase != Phase::Running {
+            self.leave_operation().await;
+        }
+    }
+
+    /// Takes the slaves out of OP that a bring-up or a state request has asked to go there; later if the port has no link.
+    async fn leave_operation(&mut self) {
+        self.leaves_later = self.bus.asked_for_operation && self.inbox.port.is_down();
+        if self.bus.asked_for_operation && !self.leaves_later {
             self.bus.shut_down().await;
         }
     }
@@ -346,8 +361,9 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 (failure.unwrap_or(Failure::bus(Step::Watch)(error)), true)
             }
         };
-        // A member that was lost may be back already.
-        self.waits_long = !self.bus.has_lost || may_pass(&failure.error) && !failure.is_of_lost_slave();
+        // A slave that was lost may be back already.
+        let lost = failure.is_of_lost_slave();
+        self.waits_long = !(lost || self.bus.has_lost) || may_pass(&failure.error) && !lost;
         self.changed_ms = may_be_over.then_some(self.bus.port.now_ms());
         self.bus.refuse(failure).await;
     }
@@ -652,6 +668,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         if self.phase == Phase::Running || self.bus.asked_for_operation {
             self.bus.shut_down().await;
         }
+        self.leaves_later = false;
         (self.phase, self.bus.is_running) = (Phase::Stopped, false);
     }
 
@@ -681,8 +698,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             // A slave that erases its memory may take longer over a packet than a file may lie idle.
             bus.use_file();
         }
-        if request.slave().is_some() {
-            // Whoever looks for the reason is not interrupted by the next bring-up.
+        if request.slave().is_some() && !matches!(request, ServiceRequest::Errors { .. }) {
+            // Error counters are read by programs, again and again. Whoever looks for the reason is not interrupted by the next bring-up.
             self.changed_ms = self.changed_ms.map(|_| bus.port.now_ms());
         }
         if bus.is_worked_on() {
@@ -699,17 +716,31 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
     }
 }
 
-/// AL status codes of what may be over the next time: no code, unspecified, synchronisation error, watchdog, fatal
-/// synchronisation error, no signal, PLL, communication, information memory not given or damaged, restarted by itself.
-const PASSING_CODES: [u16; 11] = [
-    0x0000, 0x0001, 0x001A, 0x001B, 0x002C, 0x002D, 0x0032, 0x0042, 0x0050, 0x0051, 0x0060,
-];
+/// Whether an AL status code says that a slave cannot take what it is configured with: the next time is no better. All others may
+/// pass, those of vendors too.
+const fn is_of_configuration(code: u16) -> bool {
+    matches!(
+        code,
+        0x0002
+            | 0x0003
+            | 0x0006
+            | 0x0007
+            | 0x000E
+            | 0x0012..=0x0017
+            | 0x001C..=0x0020
+            | 0x0024..=0x0029
+            | 0x002E
+            | 0x0030
+            | 0x0035
+            | 0x0043..=0x004F
+    )
+}
 
 /// Whether what went wrong may be over the next time although the chain does not change: a slave was too slow, left its state or
 /// was lost for a moment. Other errors are of the chain, or of what is asked for.
 fn may_pass(error: &BusError) -> bool {
     match error {
-        BusError::State { code, .. } => PASSING_CODES.contains(code),
+        BusError::State { code, .. } => !is_of_configuration(*code),
         // The last slaves came when the wait was over.
         BusError::SlaveCount { expected, actual } => actual >= expected,
         BusError::Lost { .. }
