@@ -142,6 +142,7 @@ pub(crate) const PARTS: &[Part] = &[
             "crates/ethercat/src/supervisor/repair.rs",
             "crates/ethercat/src/supervisor/requests.rs",
             "crates/ethercat/src/supervisor/rescan.rs",
+            "crates/ethercat/src/supervisor/start.rs",
             "crates/ethercat/src/supervisor/state_request.rs",
             "crates/ethercat/src/telegram",
             "crates/ethercat/src/telegram.rs",

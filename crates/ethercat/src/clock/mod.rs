@@ -18,17 +18,18 @@
 
 mod agreement;
 pub mod delay;
+mod measurement;
 pub mod steering;
 
 use super::acyclic::{AcyclicPort, Request};
-use super::configure::discovery;
 use super::error::BusError;
 use super::plan::ReferenceClock;
-use super::wire::register::{self, DlStatus};
+use super::wire::register;
 use super::wire::{Address, Command, read_u16, read_u32, read_u64};
 pub use agreement::{DIFFERENCE_MAX_NS, DIFFERENCE_TIMEOUT_MS, Settling, await_agreement, difference_ns};
-use delay::{PortTimes, propagation_delays_ns};
+use delay::PortTimes;
 use heapless::Vec;
+pub use measurement::measure;
 
 /// Frames that distribute the reference's time before the clocks are used (static drift compensation).
 pub const SETTLING_FRAMES: u16 = 32;
@@ -40,11 +41,6 @@ const FOLLOW_PERIOD_MS: u32 = 1_000;
 const DELAY_CHANGE_MIN_NS: u32 = 20;
 /// Nanoseconds in a millisecond.
 const NS_PER_MS: u64 = 1_000_000;
-/// Bytes of the ports' receive times.
-const PORT_TIMES_LEN: usize = 16;
-/// Bytes from the first port's receive time to the end of the processing unit's.
-const TIMES_LEN: usize = (register::DC_RECEIVE_TIME_UNIT - register::DC_RECEIVE_TIME) as usize + 8;
-
 /// Width of a slave's clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Width {
@@ -296,141 +292,6 @@ pub async fn read_clock<const MESSAGE: usize>(
         latches,
         ..SlaveClock::default()
     }))
-}
-
-/// Makes all slaves latch the times of one frame, and computes the delays. Slaves that do not answer keep theirs; `answers`
-/// returns false for those that are known to be lost, which are not waited for.
-///
-/// # Errors
-/// As [`AcyclicPort::send_until_counted`].
-pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
-    port: &mut AcyclicPort<'_, MESSAGE>,
-    stations: &[u16],
-    clocks: &mut BusClocks<SLAVES>,
-    answers: impl Fn(usize) -> bool,
-) -> Result<(), BusError> {
-    // Only one latching frame counts: a repeated one would leave slaves with times of different frames.
-    port.broadcast_write(register::DC_RECEIVE_TIME, &[0; 4]).await?;
-    let (mut there, mut ports) = (Vec::<usize, SLAVES>::new(), Vec::<PortTimes, SLAVES>::new());
-    // Nobody knows where in the chain an extra slave is.
-    let ordered = clocks.slaves.iter_mut().take(clocks.ordered.into());
-    for (position, (station, slave)) in stations.iter().zip(ordered).enumerate() {
-        if !answers(position) {
-            slave.measured = false;
-            continue;
-        }
-        slave.measured = match read_times(port, *station, slave).await {
-            // Another slave is lost; the frames bypass it.
-            Err(BusError::WorkingCounter { actual: 0, .. }) => false,
-            read => read.map(|()| true)?,
-        };
-        if slave.measured {
-            // There is room for all slaves.
-            let _ = (there.push(position), ports.push(slave.ports));
-        }
-    }
-    let is_junction = |slave: &PortTimes| slave.has_clock && slave.open.count_ones() > 2;
-    if ports.iter().any(is_junction) {
-        let is_known = match add_strangers(port, stations, &mut there, &mut ports).await {
-            // A stranger has gone meanwhile.
-            Err(BusError::WorkingCounter { .. }) => {
-                clocks.are_due = true;
-                false
-            }
-            known => known?,
-        };
-        if !is_known {
-            // The delays stay as they were measured before.
-            return Ok(());
-        }
-    }
-    clocks.are_due = false;
-    for (position, delay_ns) in there.iter().zip(propagation_delays_ns::<SLAVES>(&ports)) {
-        if let Some(slave) = clocks.slaves.get_mut(*position) {
-            slave.delay_ns = delay_ns;
-        }
-    }
-    Ok(())
-}
-
-/// Puts slaves whose places are not known between those at `there`, as parts of their cables: at a junction they decide in
-/// which branch the others are. Returns false if the chain is not in the order of `there`, or has more slaves than there is
-/// room for.
-async fn add_strangers<const SLAVES: usize, const MESSAGE: usize>(
-    port: &mut AcyclicPort<'_, MESSAGE>,
-    stations: &[u16],
-    there: &mut Vec<usize, SLAVES>,
-    ports: &mut Vec<PortTimes, SLAVES>,
-) -> Result<bool, BusError> {
-    let (found, known) = (discovery::count(port).await?, there.len());
-    if usize::from(found) <= known {
-        return Ok(true);
-    }
-    if usize::from(found) > SLAVES {
-        return Ok(false);
-    }
-    let mut places = Vec::<u16, SLAVES>::new();
-    discovery::stations(port, found, &mut places).await?;
-    for (place, station) in (0_u16..).zip(&places) {
-        let position = there
-            .get(usize::from(place))
-            .and_then(|position| stations.get(*position));
-        if position == Some(station) {
-            continue;
-        }
-        let address = Address::position(place, register::DL_STATUS);
-        let status = port
-            .send_until_counted(&Request::read(Command::Aprd, address, 2), 1)
-            .await?;
-        let stranger = PortTimes {
-            open: open_ports(read_u16(&status, 0)),
-            ..PortTimes::default()
-        };
-        let inserted = there.insert(place.into(), usize::MAX).is_ok() && ports.insert(place.into(), stranger).is_ok();
-        if !inserted {
-            return Ok(false);
-        }
-    }
-    // Known slaves in another order would each count as a stranger too.
-    Ok(there.len() == usize::from(found))
-}
-
-/// Reads a slave's open ports and the times that it has latched.
-async fn read_times<const MESSAGE: usize>(
-    port: &mut AcyclicPort<'_, MESSAGE>,
-    station: u16,
-    slave: &mut SlaveClock,
-) -> Result<(), BusError> {
-    let status = port.read_u16(station, register::DL_STATUS).await?;
-    slave.ports = PortTimes {
-        has_clock: slave.latches,
-        open: open_ports(status),
-        ..PortTimes::default()
-    };
-    if !slave.latches {
-        return Ok(());
-    }
-    let length = if slave.width.is_some() {
-        TIMES_LEN
-    } else {
-        PORT_TIMES_LEN
-    };
-    let times = port.read(station, register::DC_RECEIVE_TIME, length).await?;
-    slave.ports.received_ns = core::array::from_fn(|number| read_u32(&times, 4 * number));
-    let local_ns = read_u64(&times, TIMES_LEN - 8);
-    slave.local_ns = match slave.width {
-        Some(Width::Bits64) => local_ns,
-        _ => local_ns & u64::from(u32::MAX),
-    };
-    Ok(())
-}
-
-/// The open ports as bits, from the data-link status.
-fn open_ports(status: u16) -> u8 {
-    let ports = DlStatus::from_bits(status).ports;
-    (0..)
-        .zip(ports)
-        .fold(0, |open, (number, port)| open | u8::from(port.is_open()) << number)
 }
 
 /// Makes all clocks agree: measures, writes offsets and delays, and distributes the reference's time until the control
