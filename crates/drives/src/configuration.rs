@@ -21,7 +21,7 @@ const MODE_TIMEOUT_MS: u32 = 500;
 
 /// Chooses a drive's process data, writes its mode and its settings, and makes the layout.
 ///
-/// A drive that accepts the choice of its twin gets the twin's layout; its lists are not read.
+/// A drive that accepts the choice, as its twin has, gets the twin's layout; its lists are not read.
 ///
 /// # Errors
 /// [`BusError::Range`] when the drive lacks the mode or an object cannot take a value, [`BusError::Mapping`],
@@ -43,10 +43,13 @@ pub(crate) async fn used<F: SlaveFactory<Layout = ProcessLayout>, const MESSAGE:
 
     let outputs_taken = slave.assign(Direction::Outputs, &mode.outputs).await?;
     let inputs_taken = slave.assign(Direction::Inputs, &mode.inputs).await?;
-    let mut data = match twin {
-        Some(twin) if outputs_taken && inputs_taken && twin.layout.mode == drive.mode => *twin,
-        _ => lay_out(kind, drive.mode, mode, slave).await?,
+    let is_chosen = outputs_taken && inputs_taken;
+    let is_equal = |twin: &&ProcessData<F>| is_chosen && twin.layout.is_chosen && twin.layout.mode == drive.mode;
+    let mut data = match twin.filter(is_equal) {
+        Some(twin) => *twin,
+        None => lay_out(kind, drive.mode, mode, slave).await?,
     };
+    data.layout.is_chosen = is_chosen;
     let operation_mode = Setting::of(OPERATION_MODE, i32::from(mode.operation_mode).cast_unsigned(), 1);
     if data.layout.shows_mode() {
         slave.write(&operation_mode.verified()).await?;

@@ -41,6 +41,8 @@ pub struct ProcessLayout {
     position: u8,
     status: u8,
     mode_display: u8,
+    /// Whether the drive has taken the choice of its process data, as equal drives then do.
+    pub(crate) is_chosen: bool,
     /// Whether the drive has shown its mode already, outside the process data.
     pub(crate) mode_shown: bool,
     /// Range of the position; known in position mode only.
@@ -252,6 +254,7 @@ impl LayoutBuilder {
                 .or_else(|error| internal.required().map_err(|_| error))?,
             status: status.required()?,
             mode_display: mode_display.offset,
+            is_chosen: false,
             mode_shown: false,
             range: PositionRange::WHOLE,
         })
