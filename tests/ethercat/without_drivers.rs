@@ -8,6 +8,7 @@ use etherpen::ethercat::event::{BusCommand, BusSetup, ChosenEntry, WantedValue};
 use etherpen::ethercat::slave_set::SlaveSet;
 use etherpen::ethercat::supervisor::BusEvent;
 use etherpen::ethercat::wire::coe::Object;
+use etherpen::ethercat::wire::{Address, Command, FRAME_LEN_MAX, FrameBuilder};
 use etherpen_segment::random::Random;
 use etherpen_segment::{AlState, Fault, SegmentOptions, SlaveKind};
 
@@ -209,6 +210,49 @@ fn chosen_process_data_are_assigned_mapped_and_found_where_they_lie() {
     assert!(bench.set_bits(2, 4, 0x5));
     bench.run(THROUGH);
     assert_eq!(bench.segment.outputs(3), Some(vec![0x5]));
+}
+
+/// Has a slave's register written, as another master would.
+fn write_as_another(bench: &mut Bench, position: u16, register: u16, bytes: &[u8]) {
+    let mut frame = [0; FRAME_LEN_MAX];
+    let mut builder = FrameBuilder::new(&mut frame, [0x10, 0, 0, 0, 0, 2]).expect("room");
+    let address = Address::position(position, register);
+    let data = builder.push(Command::Apwr, 0xEE, address, bytes.len()).expect("room");
+    data.copy_from_slice(bytes);
+    let length = builder.finish();
+    bench.segment.frame(0, &frame[..length]);
+}
+
+#[test]
+fn what_another_master_left_in_ports_and_aliases_hides_no_slave() {
+    use SlaveKind::{Ek1100, El1008, El2004};
+    /// Port 1 stays closed, from 0x0101.
+    const PORT_1_CLOSED: u8 = 0x0C;
+    for (closed, aliases) in [
+        (&[][..], &[1, 2][..]),
+        (&[1], &[]),
+        (&[0], &[]),
+        (&[2, 0], &[]),
+        (&[2, 1, 0], &[3, 1]),
+    ] {
+        let mut bench = Bench::new(&[Ek1100, El1008, El2004, El1008], 1_000, ExchangeKind::Split, &[]);
+        for position in aliases {
+            // The address that the second slave gets, and its use.
+            write_as_another(&mut bench, *position, 0x0012, &0x1002_u16.to_le_bytes());
+            write_as_another(&mut bench, *position, 0x0103, &[1]);
+        }
+        for position in closed {
+            write_as_another(&mut bench, *position, 0x0101, &[PORT_1_CLOSED]);
+        }
+        bench.operational();
+        for (slave, state) in bench.segment.slaves().iter().enumerate() {
+            let what = format!(
+                "slave {slave}, closed {closed:?}, aliases {aliases:?}: {:#?}",
+                bench.log
+            );
+            assert_eq!(state.al_state, AlState::Operational, "{what}");
+        }
+    }
 }
 
 /// The supply of a whole chain fails while it is brought up, at any moment.

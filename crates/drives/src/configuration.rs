@@ -5,8 +5,7 @@
 //!
 //! Invariant: the layout follows the actual lists of the drive; a missing value and a wrong mode are always detected.
 
-use crate::layout::LayoutBuilder;
-use crate::layout::ProcessLayout;
+use crate::layout::{CHOSEN, LayoutBuilder, MODE_SHOWN, ProcessLayout};
 use crate::{
     AxisMode, DriveKind, DriveSettings, INTERPOLATION_PERIOD, ModeDescription, OPERATION_MODE, OPERATION_MODE_DISPLAY,
     POSITION_FIRST, POSITION_LAST, PositionRange, QUICK_STOP_DECELERATION, interpolation_period,
@@ -44,12 +43,13 @@ pub(crate) async fn used<F: SlaveFactory<Layout = ProcessLayout>, const MESSAGE:
     let outputs_taken = slave.assign(Direction::Outputs, &mode.outputs).await?;
     let inputs_taken = slave.assign(Direction::Inputs, &mode.inputs).await?;
     let is_chosen = outputs_taken && inputs_taken;
-    let is_equal = |twin: &&ProcessData<F>| is_chosen && twin.layout.is_chosen && twin.layout.mode == drive.mode;
+    let is_equal =
+        |twin: &&ProcessData<F>| is_chosen && twin.layout.has_found(CHOSEN) && twin.layout.mode == drive.mode;
     let mut data = match twin.filter(is_equal) {
         Some(twin) => *twin,
         None => lay_out(kind, drive.mode, mode, slave).await?,
     };
-    data.layout.is_chosen = is_chosen;
+    data.layout.note(CHOSEN, is_chosen);
     let operation_mode = Setting::of(OPERATION_MODE, i32::from(mode.operation_mode).cast_unsigned(), 1);
     if data.layout.shows_mode() {
         slave.write(&operation_mode.verified()).await?;
@@ -57,7 +57,8 @@ pub(crate) async fn used<F: SlaveFactory<Layout = ProcessLayout>, const MESSAGE:
         slave.write(&operation_mode).await?;
         // A drive that does not show it yet is asked again in OP.
         let shown = slave.dictionary().read(OPERATION_MODE_DISPLAY, 1).await;
-        data.layout.mode_shown = shown == Ok(u32::from(mode.operation_mode.cast_unsigned()));
+        let expected = u32::from(mode.operation_mode.cast_unsigned());
+        data.layout.note(MODE_SHOWN, shown == Ok(expected));
     }
     for setting in &settings {
         slave.write(setting).await?;
@@ -95,7 +96,7 @@ pub(crate) async fn confirmed<const MESSAGE: usize>(
     layout: &ProcessLayout,
     slave: &mut PreOperational<'_, '_, MESSAGE>,
 ) -> Result<(), BusError> {
-    let is_open = !layout.shows_mode() && !layout.mode_shown;
+    let is_open = !layout.shows_mode() && !layout.has_found(MODE_SHOWN);
     let Some(mode) = kind.mode(layout.mode).filter(|_| is_open) else {
         return Ok(());
     };

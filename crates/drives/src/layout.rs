@@ -24,6 +24,11 @@ const ABSENT: u8 = u8::MAX;
 
 const _: () = assert!(PROCESS_BYTES_MAX < ABSENT as usize);
 
+/// The drive has taken the choice of its process data, as equal drives then do.
+pub(crate) const CHOSEN: u8 = 1 << 0;
+/// The drive has shown its mode already, outside the process data.
+pub(crate) const MODE_SHOWN: u8 = 1 << 1;
+
 /// Byte offsets of a drive's values.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProcessLayout {
@@ -41,10 +46,8 @@ pub struct ProcessLayout {
     position: u8,
     status: u8,
     mode_display: u8,
-    /// Whether the drive has taken the choice of its process data, as equal drives then do.
-    pub(crate) is_chosen: bool,
-    /// Whether the drive has shown its mode already, outside the process data.
-    pub(crate) mode_shown: bool,
+    /// What the set-up has found. One byte: every plan holds a layout for each slave.
+    found: u8,
     /// Range of the position; known in position mode only.
     pub(crate) range: PositionRange,
 }
@@ -53,6 +56,16 @@ impl ProcessLayout {
     /// Whether the drive shows its mode in each cycle.
     pub const fn shows_mode(&self) -> bool {
         self.mode_display != ABSENT
+    }
+
+    /// Notes what the set-up has found: [`CHOSEN`] or [`MODE_SHOWN`].
+    pub(crate) const fn note(&mut self, what: u8, is_so: bool) {
+        self.found = if is_so { self.found | what } else { self.found & !what };
+    }
+
+    /// Whether the set-up has found this.
+    pub(crate) const fn has_found(&self, what: u8) -> bool {
+        self.found & what != 0
     }
 
     /// Range of the drive's position; known in position mode only.
@@ -254,8 +267,7 @@ impl LayoutBuilder {
                 .or_else(|error| internal.required().map_err(|_| error))?,
             status: status.required()?,
             mode_display: mode_display.offset,
-            is_chosen: false,
-            mode_shown: false,
+            found: 0,
             range: PositionRange::WHOLE,
         })
     }

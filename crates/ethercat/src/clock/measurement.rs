@@ -27,7 +27,6 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
 ) -> Result<(), BusError> {
     // Only one latching frame counts: a repeated one would leave slaves with times of different frames.
     port.broadcast_write(register::DC_RECEIVE_TIME, &[0; 4]).await?;
-    let (mut there, mut ports) = (Vec::<usize, SLAVES>::new(), Vec::<PortTimes, SLAVES>::new());
     // Nobody knows where in the chain an extra slave is.
     let ordered = clocks.slaves.iter_mut().take(clocks.ordered.into());
     for (position, (station, slave)) in stations.iter().zip(ordered).enumerate() {
@@ -40,75 +39,83 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
             Err(BusError::WorkingCounter { actual: 0, .. }) => false,
             read => read.map(|()| true)?,
         };
-        if slave.measured {
-            // There is room for all slaves.
-            let _ = (there.push(position), ports.push(slave.ports));
-        }
     }
-    let is_junction = |slave: &PortTimes| slave.has_clock && slave.open.count_ones() > 2;
-    if ports.iter().any(is_junction) {
-        let is_known = match add_strangers(port, stations, &mut there, &mut ports).await {
-            // A stranger has gone meanwhile.
-            Err(BusError::WorkingCounter { .. }) => {
-                clocks.are_due = true;
-                false
-            }
-            known => known?,
+    let is_junction = |slave: &SlaveClock| slave.latches && slave.ports.open.count_ones() > 2;
+    let strangers = match clocks.slaves.iter().any(|slave| slave.measured && is_junction(slave)) {
+        true => find_strangers(port, stations, clocks).await,
+        false => Ok(Some(Strangers::new())),
+    };
+    // A stranger has gone meanwhile.
+    clocks.are_due = matches!(strangers, Err(BusError::WorkingCounter { .. }));
+    let strangers = if clocks.are_due { None } else { strangers? };
+    // Else the delays stay as they were measured before.
+    if let Some(strangers) = strangers {
+        take_delays(clocks, &strangers);
+    }
+    Ok(())
+}
+
+/// Places in the chain, in order, of slaves that have no place in the bus's order, and their open ports.
+type Strangers<const SLAVES: usize> = Vec<(u8, u8), SLAVES>;
+
+/// Computes the delays of the slaves that were measured. Strangers are parts of their cables: at a junction they decide in which
+/// branch the others are.
+fn take_delays<const SLAVES: usize>(clocks: &mut BusClocks<SLAVES>, strangers: &Strangers<SLAVES>) {
+    let (mut there, mut ports) = (Vec::<usize, SLAVES>::new(), Vec::<PortTimes, SLAVES>::new());
+    for (position, slave) in clocks.slaves.iter().enumerate().filter(|(_, slave)| slave.measured) {
+        // There is room for all slaves.
+        let _ = (there.push(position), ports.push(slave.ports));
+    }
+    for (place, open) in strangers {
+        let stranger = PortTimes {
+            open: *open,
+            ..PortTimes::default()
         };
-        if !is_known {
-            // The delays stay as they were measured before.
-            return Ok(());
-        }
+        let place = usize::from(*place);
+        // All slaves that were found fit, and each place before this one has its slave.
+        let _ = (there.insert(place, usize::MAX), ports.insert(place, stranger));
     }
-    clocks.are_due = false;
     for (position, delay_ns) in there.iter().zip(propagation_delays_ns::<SLAVES>(&ports)) {
         if let Some(slave) = clocks.slaves.get_mut(*position) {
             slave.delay_ns = delay_ns;
         }
     }
-    Ok(())
 }
 
-/// Puts slaves whose places are not known between those at `there`, as parts of their cables: at a junction they decide in
-/// which branch the others are. Returns false if the chain is not in the order of `there`, or has more slaves than there is
-/// room for.
-async fn add_strangers<const SLAVES: usize, const MESSAGE: usize>(
+/// Looks through the chain for slaves without a place in the bus's order. `None` if those that were measured are not in their
+/// order, or there are more than there is room for.
+async fn find_strangers<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
-    there: &mut Vec<usize, SLAVES>,
-    ports: &mut Vec<PortTimes, SLAVES>,
-) -> Result<bool, BusError> {
-    let (found, known) = (discovery::count(port).await?, there.len());
-    if usize::from(found) <= known {
-        return Ok(true);
+    clocks: &BusClocks<SLAVES>,
+) -> Result<Option<Strangers<SLAVES>>, BusError> {
+    let known = || {
+        let slaves = clocks.slaves.iter().zip(stations);
+        slaves.filter(|(slave, _)| slave.measured).map(|(_, station)| *station)
+    };
+    let (found, mut next) = (discovery::count(port).await?, 0);
+    let mut strangers = Strangers::new();
+    if usize::from(found) <= known().count() {
+        return Ok(Some(strangers));
     }
     if usize::from(found) > SLAVES {
-        return Ok(false);
+        return Ok(None);
     }
     let mut places = Vec::<u16, SLAVES>::new();
     discovery::stations(port, found, &mut places).await?;
-    for (place, station) in (0_u16..).zip(&places) {
-        let position = there
-            .get(usize::from(place))
-            .and_then(|position| stations.get(*position));
-        if position == Some(station) {
+    for (place, station) in (0_u8..).zip(&places) {
+        if known().nth(next) == Some(*station) {
+            next += 1;
             continue;
         }
-        let address = Address::position(place, register::DL_STATUS);
+        let address = Address::position(place.into(), register::DL_STATUS);
         let status = port
             .send_until_counted(&Request::read(Command::Aprd, address, 2), 1)
             .await?;
-        let stranger = PortTimes {
-            open: open_ports(read_u16(&status, 0)),
-            ..PortTimes::default()
-        };
-        let inserted = there.insert(place.into(), usize::MAX).is_ok() && ports.insert(place.into(), stranger).is_ok();
-        if !inserted {
-            return Ok(false);
-        }
+        // There are at most as many as slaves.
+        let _ = strangers.push((place, open_ports(read_u16(&status, 0))));
     }
-    // Known slaves in another order would each count as a stranger too.
-    Ok(there.len() == usize::from(found))
+    Ok(Some(strangers).filter(|_| next == known().count()))
 }
 
 /// Reads a slave's open ports and the times that it has latched.

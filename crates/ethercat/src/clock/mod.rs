@@ -84,7 +84,7 @@ pub struct BusClocks<const SLAVES: usize> {
     /// Phase of the frames at the reference, ns within the period.
     pub phase_ns: u32,
     /// Place of the slave that distributed its time when the delays were last told.
-    told_by: Option<usize>,
+    told_by: Option<u8>,
     /// Whether clocks before the reference are being set: it only shows its time meanwhile.
     is_held: bool,
     /// Number of slaves whose place in the chain is known. Those behind them are extra ones, wherever they are: the time is
@@ -310,7 +310,7 @@ pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
     let mut clocks: BusClocks<SLAVES> = discover(port, stations).await?;
     (clocks.period_ns, clocks.time_number) = (period_ns, time_number);
     while let Some(reference) = clocks.reference() {
-        clocks.told_by = Some(reference);
+        clocks.told_by = Some(reference as u8);
         measure(port, stations, &mut clocks, |_| true).await?;
         if set_all(port, stations, &mut clocks, reference, &is_used).await? {
             settle(port, stations, &mut clocks).await?;
@@ -402,13 +402,14 @@ pub async fn tell_delays<const SLAVES: usize, const MESSAGE: usize>(
 ) -> Result<(), BusError> {
     let is_there = |position: usize, slave: &SlaveClock| slave.width.is_some() && slave.is_set && answers(position);
     let source = clocks.distributor(&answers);
+    let teller = source.map(|source| source as u8);
     if let Some(station) = source.and_then(|source| stations.get(source))
-        && source != clocks.told_by
+        && teller != clocks.told_by
     {
         // Its control loop has no reference any more, and would keep its last correction for ever: 10 % if the one before
         // fell silent.
         restart_loop(port, *station).await?;
-        clocks.told_by = source;
+        clocks.told_by = teller;
     }
     // Delays of different measurements have different beginnings.
     let mut there = clocks.slaves.iter().enumerate();

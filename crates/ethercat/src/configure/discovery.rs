@@ -22,17 +22,24 @@ const CLEARED: u8 = 4;
 /// Sync managers and FMMUs of a large controller, in which another master may have left some.
 const UNITS_MAX: u8 = 8;
 
-/// Brings all slaves to INIT without any configuration; resets the error counters, the aliases' use as addresses and
-/// the control of the ports.
+/// Lets the ports of all slaves that frames reach open and close by themselves again, and lets no slave answer to its alias:
+/// another master may have closed a port in the middle of the chain. Behind a port that opens then may be another one.
+///
+/// # Errors
+/// [`BusError::Lost`].
+pub async fn open_ports<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>) -> Result<(), BusError> {
+    port.broadcast_write(register::DL_CONTROL_PORTS, &[0]).await?;
+    port.broadcast_write(register::DL_CONTROL_ALIAS_BYTE, &[0]).await?;
+    Ok(())
+}
+
+/// Brings all slaves to INIT without any configuration; resets the error counters.
 ///
 /// A slave that does not reach INIT in time is left as it is; the next step that uses it fails.
 ///
 /// # Errors
 /// [`BusError::Lost`].
 pub async fn reset_all<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>) -> Result<(), BusError> {
-    // The ports open and close by themselves, and no slave answers to its alias.
-    port.broadcast_write(register::DL_CONTROL_PORTS, &[0]).await?;
-    port.broadcast_write(register::DL_CONTROL_ALIAS_BYTE, &[0]).await?;
     let init = AlState::Init as u16;
     port.broadcast_write(register::AL_CONTROL, &(init | register::AL_ERROR_BIT).to_le_bytes())
         .await?;

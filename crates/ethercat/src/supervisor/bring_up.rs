@@ -138,6 +138,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             let now_ms = self.port.now_ms();
             if count != found {
                 (found, since_ms) = (count, now_ms);
+                // Another master may have closed ports: behind one that opens there may be another. No answer is needed.
+                let _ = discovery::open_ports(&mut self.port).await;
             }
             if found >= expected && found > 0 && now_ms.wrapping_sub(since_ms) >= STABLE_MS {
                 break;

@@ -178,34 +178,43 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<'_, 
         if let Err(failure) = self.step(BringUpStep::Clocks).await? {
             return Ok(Err(failure));
         }
-        for of_terminals in [false, true] {
-            for number in 0..self.bus.slaves.len() {
-                if self.bus.is_terminal(number) != of_terminals {
-                    continue;
-                }
-                if let Err(failure) = self.step(BringUpStep::SafeOperational(number)).await? {
-                    return Ok(Err(failure));
-                }
-                // Some slaves need process data soon after they have reached SAFEOP.
-                self.bus.send_plan().await;
-                self.watch_members().await?;
-            }
-            for number in 0..self.bus.slaves.len() {
-                if self.bus.is_terminal(number) != of_terminals {
-                    continue;
-                }
-                if let Err(failure) = self.step(BringUpStep::Operational(number)).await? {
-                    return Ok(Err(failure));
-                }
-                self.watch_members().await?;
-            }
-            self.bus.send_plan().await;
+        if let Err(failure) = self.bring_up_all(false).await? {
+            return Ok(Err(failure));
+        }
+        if let Err(failure) = self.bring_up_all(true).await? {
+            return Ok(Err(failure));
         }
         self.bus.inspect(0..SLAVES).await;
         if self.bus.present() == 0 || self.bus.disturbed_member().is_some() {
             return Err(Interruption::Bus);
         }
         self.bus.introduce_all().await;
+        Ok(Ok(()))
+    }
+
+    /// Brings all terminals, or all other slaves, to SAFEOP and then to OP.
+    async fn bring_up_all(&mut self, terminals: bool) -> Result<Result<(), Failure>, Interruption> {
+        for number in 0..self.bus.slaves.len() {
+            if self.bus.is_terminal(number) != terminals {
+                continue;
+            }
+            if let Err(failure) = self.step(BringUpStep::SafeOperational(number)).await? {
+                return Ok(Err(failure));
+            }
+            // Some slaves need process data soon after they have reached SAFEOP.
+            self.bus.send_plan().await;
+            self.watch_members().await?;
+        }
+        for number in 0..self.bus.slaves.len() {
+            if self.bus.is_terminal(number) != terminals {
+                continue;
+            }
+            if let Err(failure) = self.step(BringUpStep::Operational(number)).await? {
+                return Ok(Err(failure));
+            }
+            self.watch_members().await?;
+        }
+        self.bus.send_plan().await;
         Ok(Ok(()))
     }
 

@@ -2,7 +2,7 @@
 //!
 //! It may touch within the tolerance and the following error of a leg of the present drawing, or of a move or pen
 //! order, where that leg lies within the pen's spring of the paper; anywhere during a jog, which the operator steers;
-//! and where it stands. In a stop it may slide on: twice the tool's speed times reaction and ramp, and 2 mm. While
+//! where it stands; and wherever it was put before a drive had power for the first time. In a stop it may slide on: twice the tool's speed times reaction and ramp, and 2 mm. While
 //! feedback is not true the deviation that is promised for it comes on top.
 
 use crate::scene::{Finding, Scene};
@@ -19,6 +19,8 @@ pub(crate) struct Pen {
     rest: Option<Vector>,
     /// Where the tool was when it last moved as ordered, mm: a stop lets it slide on from there.
     ordered: Option<Vector>,
+    /// Whether a drive has had power.
+    was_powered: bool,
 }
 
 impl Pen {
@@ -31,6 +33,11 @@ impl Pen {
             (self.rest, self.ordered) = (Some(tool), Some(tool));
             return Ok(());
         };
+        self.was_powered |= scene.moment.joints.iter().any(|joint| joint.has_power);
+        if !self.was_powered {
+            (self.rest, self.ordered) = (Some(tool), Some(tool));
+            return Ok(());
+        }
         if !scene.moment.pen_touches {
             self.rest = None;
             if !scene.is_stopping {
