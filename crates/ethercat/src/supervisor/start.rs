@@ -143,9 +143,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<'_, 
                 (failure.unwrap_or(Failure::bus(Step::Watch)(error)), true)
             }
         };
-        // A slave that was lost may be back already.
-        let lost = failure.is_of_lost_slave();
-        self.waits_long = !(lost || self.bus.has_lost) || may_pass(&failure.error) && !lost;
+        // A slave that was seen to be lost may be back already.
+        self.waits_long = !self.bus.has_lost || may_pass(&failure.error) && !failure.is_of_lost_slave();
         self.changed_ms = may_be_over.then_some(self.bus.port.now_ms());
         self.bus.refuse(failure).await;
     }
