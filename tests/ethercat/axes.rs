@@ -174,21 +174,15 @@ fn axes_beyond_one_frame_go_to_their_targets_at_their_limit_of_speed_whatever_th
             bus.cycle();
         }
         bus.run_ms(20);
-        let here: Vec<i32> = (0..DRIVES)
-            .map(|member| bus.group.read(member).expect("an input").position)
-            .collect();
+        let here: [i32; DRIVES] = std::array::from_fn(|member| bus.group.read(member).expect("an input").position);
         // Every drive somewhere else, half of them backwards.
-        let turns = |member: usize| (member as f64 + 10.0) * if member % 2 == 0 { 0.1 } else { -0.1 };
-        for member in 0..DRIVES {
-            bus.targets[member] = Some(here[member]);
-        }
+        let turns = |member: usize| (member as f64 + 10.0) * if member.is_multiple_of(2) { 0.1 } else { -0.1 };
+        bus.targets = here.map(Some);
         bus.run_ms(200);
         let states: Vec<DriveState> = bus.axes.iter().map(ServoAxis::state).collect();
         assert_eq!(states, [DriveState::OperationEnabled; DRIVES], "{cycle_us} us");
         let begun = bus.angles_rad();
-        for member in 0..DRIVES {
-            bus.targets[member] = Some(here[member] + (turns(member) * f64::from(TURN)) as i32);
-        }
+        bus.targets = std::array::from_fn(|member| Some(here[member] + (turns(member) * f64::from(TURN)) as i32));
         bus.run_ms(100);
         let before = bus.angles_rad();
         bus.run_ms(300);
