@@ -52,6 +52,8 @@ const LOOK_PERIOD_MS: u32 = 20;
 const LOOK_PAUSE_MS: u32 = SUSPICION_MS + 2;
 /// How often a repair is restarted after another slave has interrupted it.
 const REPAIR_TRIES_MAX: u8 = 3;
+/// How often a step of the bring-up is begun again after slaves have disturbed it that no member needs.
+const DISTURBANCES_MAX: u8 = 8;
 /// Rescans that may fail one after the other before the chain is taken as it is.
 const RESCANS_FAILED_MAX: u8 = 10;
 

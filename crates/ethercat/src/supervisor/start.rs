@@ -8,7 +8,7 @@ use super::super::error::BusError;
 use super::super::event::{BusEvent, Step};
 use super::bus::LOST_SLAVE;
 use super::inbox::{Expectation, Interruption, Work};
-use super::{Failure, Phase, Supervisor};
+use super::{DISTURBANCES_MAX, Failure, Phase, Supervisor};
 use core::pin::pin;
 
 /// Longest wait for the Ethernet port's link before a bring-up, ms: switches and drives need some seconds to start.
@@ -21,8 +21,6 @@ const SLOW_MS: u32 = 5_000;
 const DOUBLED_MAX: u8 = 8;
 /// The longest of them, ms.
 const PAUSE_MAX_MS: u32 = 30_000;
-/// How often a step of the bring-up is begun again after slaves have disturbed it that no member needs.
-pub(super) const DISTURBANCES_MAX: u8 = 8;
 
 /// A guarded step of the bring-up after the slaves are found: their clocks, or one slave to one state.
 #[derive(Clone, Copy, Debug)]
