@@ -26,6 +26,7 @@ fn kinds(episode: &Episode) -> Option<Vec<&str>> {
             What::Command(_) | What::Beside(_) | What::Reconnect | What::Unplug(_) | What::Noise(..) => {}
             What::Fault(_)
             | What::State(..)
+            | What::File(..)
             | What::StopInput(_)
             | What::SubstituteClock(_)
             | What::TrajectoryWaits(_)

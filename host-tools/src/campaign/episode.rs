@@ -72,8 +72,10 @@ pub enum What {
     Command(Command),
     /// A command beside the connection: all of one millisecond arrive together.
     Beside(Command),
-    /// The slave, from 0, is asked to go to an AL state: 1, 2, 4 or 8.
+    /// The slave, from 0, is asked to go to an AL state: 1, 2, 3 (BOOT), 4 or 8.
     State(u8, u8),
+    /// A file of the slave, from 0, is opened, a piece of it is written or read, and it is closed or left open.
+    File(u8, FileUse),
     /// The operator's program ends and another one connects.
     Reconnect,
     /// The serial line carries nothing for some milliseconds.
@@ -88,6 +90,18 @@ pub enum What {
     TrajectoryWaits(u32),
     /// The Ethernet port reports no link for some milliseconds.
     PortDown(u32),
+}
+
+/// How a file is used.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FileUse {
+    /// Whether the slave is brought to BOOT first.
+    pub bootstrap: bool,
+    /// Whether the file is written; otherwise it is read.
+    pub writes: bool,
+    /// Whether the file is closed at the end.
+    pub closes: bool,
 }
 
 /// A wish of the operator, carried out when the robot is enabled and at rest.

@@ -4,7 +4,7 @@
 //! so that small values are as likely as large ones.
 
 use super::chance::Chance;
-use super::episode::{Episode, Event, Figure, What, Wish};
+use super::episode::{Episode, Event, Figure, FileUse, What, Wish};
 use super::machine::Machine;
 use super::{figures, trouble};
 use crate::settings::checking;
@@ -226,7 +226,16 @@ pub(super) fn what(chance: &mut Chance, machine: &Machine, profile: Profile) -> 
     match profile {
         Profile::Bus if chance.one_in(3) => What::Frames(trouble::of_frames(chance), chance.scaled(1.0, 80.0) as u32),
         Profile::Bus if chance.one_in(10) => {
-            What::State(chance.below(chain.slaves as u64) as u8, chance.one_of(&[1, 2, 4, 8]))
+            What::State(chance.below(chain.slaves as u64) as u8, chance.one_of(&[1, 2, 3, 4, 8]))
+        }
+        Profile::Bus if chance.one_in(20) => {
+            let [bootstrap, writes, closes] = [(); 3].map(|()| chance.one_in(2));
+            let file = FileUse {
+                bootstrap,
+                writes,
+                closes,
+            };
+            What::File(chance.below(chain.slaves as u64) as u8, file)
         }
         Profile::Bus => What::Fault(trouble::of_the_bus(chance, chain)),
         Profile::Drives => What::Fault(trouble::of_a_drive(chance, chain)),

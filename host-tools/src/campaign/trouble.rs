@@ -7,6 +7,10 @@ use super::machine::Chain;
 const LASTS_MAX_MS: u32 = 1_500;
 /// Longest time for which a feedback is frozen, ms.
 const STUCK_MAX_MS: u32 = 12_000;
+/// Longest time that a drive's processor takes after power-up, for a change of its state and for an answer, ms.
+const BOOT_MAX_MS: u32 = 10_000;
+const TRANSITION_MAX_MS: u32 = 3_000;
+const ANSWER_MAX_MS: u32 = 200;
 /// AL status codes that slaves give with a fall or a refusal.
 const CODES: [u16; 5] = [0, 0x001A, 0x001B, 0x002C, 0xFFFF];
 
@@ -38,7 +42,7 @@ pub(super) fn of_the_bus(chance: &mut Chance, chain: &Chain) -> String {
     let drive = chain.drive(number);
     let lasts_ms = chance.milliseconds(LASTS_MAX_MS);
     let code = chance.one_of(&CODES);
-    match chance.below(14) {
+    match chance.below(16) {
         0 => format!("stall {lasts_ms}"),
         1 => format!("cut {}", slave - 1),
         2 => "join".into(),
@@ -55,7 +59,33 @@ pub(super) fn of_the_bus(chance: &mut Chance, chain: &Chain) -> String {
             "sii {slave} {}",
             chance.one_of(&["busy", "refused", "blank", "damaged", "owned", "whole"])
         ),
+        13 => of_a_processor(chance, drive),
+        14 => of_files(chance, drive),
         _ => of_a_mailbox(chance, drive, lasts_ms),
+    }
+}
+
+/// A slave's processor that is slow from now on, or has other manners.
+fn of_a_processor(chance: &mut Chance, slave: u64) -> String {
+    match chance.below(6) {
+        0 | 1 => format!("processor {slave} boot {}", chance.milliseconds(BOOT_MAX_MS)),
+        2 => format!(
+            "processor {slave} transition {}",
+            chance.milliseconds(TRANSITION_MAX_MS)
+        ),
+        3 => format!("processor {slave} mailbox {}", chance.milliseconds(ANSWER_MAX_MS)),
+        4 => format!("processor {slave} sii {}", chance.one_of(&["needed", "free"])),
+        _ => format!("processor {slave} repeat {}", chance.one_of(&["known", "ignored"])),
+    }
+}
+
+/// A file server of a slave that is busy, refuses, numbers its packets wrongly or is silent.
+fn of_files(chance: &mut Chance, slave: u64) -> String {
+    match chance.below(4) {
+        0 => format!("foe {slave} busy {}", 1 + chance.below(20)),
+        1 => format!("foe {slave} error {:#x}", 0x8000 + chance.below(16)),
+        2 => format!("foe {slave} packet"),
+        _ => format!("foe {slave} silent {}", 1 + chance.below(4)),
     }
 }
 

@@ -3,11 +3,12 @@
 use crate::network::Network;
 use crate::program::{Folder, Running, etherpen};
 use ethercrab::std::{ethercat_now, tx_rx_task};
-use ethercrab::subdevice_group::DcConfiguration;
+use ethercrab::subdevice_group::{DcConfiguration, HasDc, Op};
 use ethercrab::{
-    DcSupport, DcSync, MainDevice, MainDeviceConfig, PduStorage, SubDevice, SubDeviceRef, Timeouts, error::Error,
+    DcSupport, DcSync, DefaultLock, MainDevice, MainDeviceConfig, PduStorage, SubDevice, SubDeviceGroup, SubDeviceRef,
+    Timeouts, error::Error,
 };
-use std::ops::Deref;
+use std::ops::{Deref, DerefMut};
 use std::pin::{Pin, pin};
 use std::sync::Arc;
 use std::task::{Context, Poll, Wake, Waker};
@@ -56,16 +57,80 @@ const MIXED_CLOCKS: [DcSupport; 6] = [
 ];
 /// First drive of the mixed chain, and the place of its EL2004.
 const MIXED_DRIVES_FROM: usize = 3;
+const MIXED_DRIVES: [MixedDrive; 3] = [
+    MixedDrive {
+        device_name: "AX2000-B110 EtherCAT Drive",
+        mode: -2,
+        control_first: false,
+        clock_bits: 64,
+    },
+    MixedDrive {
+        device_name: "AKD",
+        mode: 9,
+        control_first: false,
+        clock_bits: 32,
+    },
+    MixedDrive {
+        device_name: "etherpen CiA 402 drive",
+        mode: 9,
+        control_first: true,
+        clock_bits: 64,
+    },
+];
 const EL2004: usize = 2;
 /// Inputs add 1, outputs 2: EL1008, EL2004, and both for each of three drives.
 const MIXED_WORKING_COUNTER: u16 = 1 + 2 + 3 * 3;
 const SYNC0: Duration = Duration::from_millis(1);
 /// Start of the pulses after their configuration.
 const SYNC0_DELAY: Duration = Duration::from_millis(100);
-/// Activation of SYNC0 and its period, registers; the activation of the pulses.
+/// Device name and mode of operation, objects.
+const DEVICE_NAME: u16 = 0x1008;
+const MODE: u16 = 0x6060;
+/// System time, activation of SYNC0, its next pulse and its period, registers; the activation of the pulses.
+const SYSTEM_TIME: u16 = 0x0910;
 const SYNC_ACTIVATION: u16 = 0x0981;
+const SYNC0_NEXT: u16 = 0x0990;
 const SYNC0_PERIOD: u16 = 0x09A0;
 const SYNC0_ACTIVE: u8 = 3;
+
+/// Control words that enable a drive, and the status word, under its mask, that each of them leads to.
+const STEPS: [(u16, u16); 3] = [(0x06, 0x21), (0x07, 0x23), (0x0F, 0x27)];
+const STATUS_MASK: u16 = 0x6F;
+
+/// A drive of the mixed chain: its object "Device name", its velocity mode, the order of its process data, and the length of
+/// its clock.
+struct MixedDrive {
+    device_name: &'static str,
+    mode: i8,
+    control_first: bool,
+    clock_bits: u32,
+}
+
+impl MixedDrive {
+    fn outputs(&self, demand: i32, control: u16) -> [u8; 6] {
+        let mut bytes = outputs(demand, control);
+        if self.control_first {
+            bytes.rotate_right(2);
+        }
+        bytes
+    }
+
+    fn inputs(&self, bytes: &[u8]) -> (i32, u16) {
+        let mut bytes = bytes.to_vec();
+        if self.control_first {
+            bytes.rotate_left(2);
+        }
+        inputs(&bytes)
+    }
+
+    /// Whether the next SYNC0 pulse lies ahead; its register keeps a start time that was missed.
+    fn is_ahead(&self, next_ns: u64, now_ns: u64) -> bool {
+        let unused_bits = u64::BITS - self.clock_bits;
+        (next_ns.wrapping_sub(now_ns) << unused_bits).cast_signed() > 0
+    }
+}
+
+type MixedGroup = SubDeviceGroup<SLAVES_MAX, IMAGE_BYTES, DefaultLock, Op, HasDc>;
 
 struct Unpark(Thread);
 
@@ -143,7 +208,7 @@ async fn run(maindevice: &MainDevice<'_>) -> Result<(usize, usize), Error> {
         assert!(before_op < OBEY_CYCLES_MAX, "not in OP");
     }
     let mut wait_for = OBEY_CYCLES_MAX;
-    let mut steps = [(0x06, 0x21), (0x07, 0x23), (0x0F, 0x27)].into_iter();
+    let mut steps = STEPS.into_iter();
     let mut step = steps.next();
     let mut start = None;
     while cycles < CYCLES || step.is_some() {
@@ -160,7 +225,7 @@ async fn run(maindevice: &MainDevice<'_>) -> Result<(usize, usize), Error> {
             .iter(maindevice)
             .map(|drive| inputs(&drive.inputs_raw()))
             .collect();
-        let all_there = drives.iter().all(|(_, status)| status & 0x6F == state);
+        let all_there = drives.iter().all(|(_, status)| status & STATUS_MASK == state);
         if step.is_some() && all_there {
             step = steps.next();
             wait_for = OBEY_CYCLES_MAX;
@@ -181,20 +246,70 @@ async fn run(maindevice: &MainDevice<'_>) -> Result<(usize, usize), Error> {
     Ok((cycles, wrong))
 }
 
-/// The mixed chain from power-up to OP with SYNC0 pulses; returns the cycles and the wrong working counters.
+/// Mode and process data of a drive in PREOP, and its names in its information memory and its object dictionary.
+async fn set_up(drive: &SubDeviceRef<'_, impl DerefMut<Target = SubDevice>>, kind: &MixedDrive) -> Result<(), Error> {
+    let mut name = drive.description().await?.unwrap_or_default();
+    assert!(!name.is_empty(), "a name in the information memory");
+    name = drive.sdo_read(DEVICE_NAME, 0).await?;
+    assert_eq!(name, kind.device_name);
+    for (register, value) in [WATCHDOG_DIVIDER, WATCHDOG_TIME] {
+        drive.register_write(register, value).await?;
+    }
+    if drive.identity().product_id == AKD {
+        assign(drive).await?;
+    }
+    drive.sdo_write(MODE, 0, kind.mode).await
+}
+
+/// One cycle in which all drives get a demand and a control word; their positions and status words, and whether the
+/// working counter was right.
+async fn cycle_mixed(
+    maindevice: &MainDevice<'_>,
+    group: &MixedGroup,
+    (demand, control, pattern): (i32, u16, u8),
+) -> Result<(Vec<(i32, u16)>, bool), Error> {
+    let mut inputs = Vec::new();
+    for (place, slave) in group.iter(maindevice).enumerate() {
+        match place.checked_sub(MIXED_DRIVES_FROM).map(|drive| &MIXED_DRIVES[drive]) {
+            Some(kind) => {
+                inputs.push(kind.inputs(&slave.inputs_raw()));
+                slave.outputs_raw_mut().copy_from_slice(&kind.outputs(demand, control));
+            }
+            None if place == EL2004 => slave.outputs_raw_mut().fill(pattern),
+            None => {}
+        }
+    }
+    let response = group.tx_rx_dc(maindevice).await?;
+    assert!(response.all_op(), "{:?}", response.subdevice_states);
+    Ok((inputs, response.working_counter == MIXED_WORKING_COUNTER))
+}
+
+/// Whether SYNC0 runs in all drives.
+async fn check_sync0(maindevice: &MainDevice<'_>, group: &MixedGroup) -> Result<(), Error> {
+    for (drive, kind) in group.iter(maindevice).skip(MIXED_DRIVES_FROM).zip(&MIXED_DRIVES) {
+        assert_eq!(drive.register_read::<u8>(SYNC_ACTIVATION).await?, SYNC0_ACTIVE);
+        let period_ns = drive.register_read::<u32>(SYNC0_PERIOD).await?;
+        assert_eq!(u128::from(period_ns), SYNC0.as_nanos());
+        let now_ns = drive.register_read::<u64>(SYSTEM_TIME).await?;
+        let next_ns = drive.register_read::<u64>(SYNC0_NEXT).await?;
+        assert!(
+            kind.is_ahead(next_ns, now_ns),
+            "{}: {next_ns} after {now_ns} ns",
+            kind.device_name
+        );
+    }
+    Ok(())
+}
+
+/// The mixed chain from power-up to OP with SYNC0 pulses and turning drives; returns the cycles and the wrong working counters.
 async fn run_mixed(maindevice: &MainDevice<'_>) -> Result<(usize, usize), Error> {
     let mut group = maindevice
         .init_single_group::<SLAVES_MAX, IMAGE_BYTES>(ethercat_now)
         .await?;
     let clocks: Vec<_> = group.iter(maindevice).map(|slave| slave.dc_support()).collect();
     assert_eq!(clocks, MIXED_CLOCKS);
-    for mut drive in group.iter_mut(maindevice).skip(MIXED_DRIVES_FROM) {
-        for (register, value) in [WATCHDOG_DIVIDER, WATCHDOG_TIME] {
-            drive.register_write(register, value).await?;
-        }
-        if drive.identity().product_id == AKD {
-            assign(&drive).await?;
-        }
+    for (mut drive, kind) in group.iter_mut(maindevice).skip(MIXED_DRIVES_FROM).zip(&MIXED_DRIVES) {
+        set_up(&drive, kind).await?;
         drive.set_dc_sync(DcSync::Sync0);
     }
     let group = group.into_pre_op_pdi(maindevice).await?;
@@ -215,20 +330,27 @@ async fn run_mixed(maindevice: &MainDevice<'_>) -> Result<(usize, usize), Error>
         }
         assert!(since.elapsed() < PATIENCE, "not in OP: {:?}", response.subdevice_states);
     }
-    for drive in group.iter(maindevice).skip(MIXED_DRIVES_FROM) {
-        assert_eq!(drive.register_read::<u8>(SYNC_ACTIVATION).await?, SYNC0_ACTIVE);
-        let period_ns = drive.register_read::<u32>(SYNC0_PERIOD).await?;
-        assert_eq!(u128::from(period_ns), SYNC0.as_nanos());
+    check_sync0(maindevice, &group).await?;
+    for (control, state) in STEPS {
+        for cycle in 0.. {
+            assert!(cycle < OBEY_CYCLES_MAX, "control word {control:#x}");
+            let (drives, _) = cycle_mixed(maindevice, &group, (0, control, 0)).await?;
+            if drives.iter().all(|(_, status)| status & STATUS_MASK == state) {
+                break;
+            }
+        }
     }
     let mut wrong = 0;
+    let (start, _) = cycle_mixed(maindevice, &group, (0, 0x0F, 0)).await?;
+    let mut end = start.clone();
     for cycle in 0..CYCLES {
-        for terminal in group.iter(maindevice).skip(EL2004).take(1) {
-            terminal.outputs_raw_mut().fill((cycle & 0xF) as u8);
-        }
-        let response = group.tx_rx_dc(maindevice).await?;
-        wrong += usize::from(response.working_counter != MIXED_WORKING_COUNTER);
-        assert!(response.all_op(), "cycle {cycle}: {:?}", response.subdevice_states);
+        let (drives, is_right) = cycle_mixed(maindevice, &group, (DEMAND, 0x0F, (cycle & 0xF) as u8)).await?;
+        wrong += usize::from(!is_right);
+        end = drives;
     }
+    let turned = start.iter().zip(&end).all(|(then, now)| now.0 > then.0);
+    assert!(turned, "from {start:x?} to {end:x?}");
+    check_sync0(maindevice, &group).await?;
     Ok((CYCLES, wrong))
 }
 

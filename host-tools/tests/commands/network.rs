@@ -13,6 +13,9 @@ use std::thread::Scope;
 /// Prefix of the namespaces' names; the process number and a running number follow.
 const PREFIX: &str = "etherpen-test-";
 
+/// Set to anything, tests fail where they would be left out: continuous integration has root.
+const REQUIRE: &str = "ETHERPEN_REQUIRE_NETWORK";
+
 /// Two namespaces and a pair of interfaces.
 pub(crate) struct Network {
     namespaces: [String; 2],
@@ -47,11 +50,11 @@ impl Network {
         static NUMBER: AtomicU32 = AtomicU32::new(0);
         static SETUP: Mutex<()> = Mutex::new(());
         if !rustix::process::geteuid().is_root() {
+            let message = format!("SKIPPED {test}: it makes network namespaces, which takes root");
             // Bypasses the test harness, which hides the output of tests that pass.
-            let _ = writeln!(
-                std::io::stderr(),
-                "SKIPPED {test}: it makes network namespaces, which takes root"
-            );
+            let _ = writeln!(std::io::stderr(), "{message}");
+            let required = std::env::var_os(REQUIRE).is_some_and(|value| !value.is_empty());
+            assert!(!required, "{REQUIRE} is set, but: {message}");
             return None;
         }
         let guard = SETUP.lock();

@@ -1,13 +1,16 @@
 //! What happens to the operator and the machine: events at their times, commands beside the session, and the healing.
 
-use super::super::episode::{Event, What};
+use super::super::episode::{Event, FileUse, What};
 use super::super::judge::product;
 use super::{Board, FIRST_BESIDE, Operator};
 use crate::cell::{Fault, Product};
-use etherpen::ethercat::diagnostics::ServiceRequest;
+use etherpen::ethercat::diagnostics::{FileRequest, Name, Piece, ServiceRequest};
 use etherpen::ethercat::state::AlState;
 use etherpen::link::frame::{FRAME_BYTES_MAX, decode, encode};
 use etherpen::messages::{Command, DeviceMessage, HostMessage};
+
+/// Name of the file that events use, and what they write into it.
+const FILE: &str = "firmware";
 
 impl Operator<'_> {
     /// Makes an event happen.
@@ -27,11 +30,13 @@ impl Operator<'_> {
                 let state = match state {
                     1 => AlState::Init,
                     2 => AlState::PreOperational,
+                    3 => AlState::Bootstrap,
                     4 => AlState::SafeOperational,
                     _ => AlState::Operational,
                 };
                 self.session.bus(ServiceRequest::SetState { slave: *slave, state });
             }
+            What::File(slave, file) => self.use_file(*slave, file),
             What::Reconnect => self.reconnect(),
             What::Unplug(duration_ms) => {
                 self.up.unplug(until(*duration_ms));
@@ -52,6 +57,28 @@ impl Operator<'_> {
                 self.board.port_until_ms = until(*duration_ms);
                 self.judge.disturbed(self.now_ms, Some((*duration_ms).into()));
             }
+        }
+    }
+
+    /// Opens a file of a slave, uses a piece of it, and closes it, or leaves it open as a program that ends would.
+    fn use_file(&mut self, slave: u8, file: &FileUse) {
+        let opened = FileRequest {
+            name: Name::try_from(FILE).unwrap_or_default(),
+            password: 0,
+            writes: file.writes,
+            bootstrap: file.bootstrap,
+        };
+        self.session.bus(ServiceRequest::OpenFile { slave, file: opened });
+        self.session.bus(match file.writes {
+            true => ServiceRequest::WriteFile {
+                slave,
+                piece: Piece::from_slice(FILE.as_bytes()).unwrap_or_default(),
+                last: file.closes,
+            },
+            false => ServiceRequest::ReadFile { slave },
+        });
+        if file.closes {
+            self.session.bus(ServiceRequest::CloseFile { slave });
         }
     }
 
@@ -110,6 +137,9 @@ impl Operator<'_> {
         }
         for slave in self.chain.drives.clone() {
             self.inject(&format!("stuck {slave} 0"));
+            // A slow start stays: it is a property of a device, and the machine has to live with it.
+            self.inject(&format!("processor {slave} transition 0"));
+            self.inject(&format!("processor {slave} mailbox 0"));
         }
         // The last exchange is undone first.
         for (one, other) in std::mem::take(&mut self.recabled).into_iter().rev() {
