@@ -162,6 +162,17 @@ pub(crate) fn terminal_of_bytes(outputs: u16, inputs: u16, clock: bool) -> Vec<u
     description.image()
 }
 
+/// A memory whose general category says that LRW is not supported.
+pub(crate) fn without_lrw(mut image: Vec<u8>) -> Vec<u8> {
+    let mut at = 0x80;
+    let word = |image: &[u8], at: usize| u16::from_le_bytes([image[at], image[at + 1]]);
+    while word(&image, at) != GENERAL {
+        at += 4 + 2 * usize::from(word(&image, at + 2));
+    }
+    image[at + 4 + 11] |= 1 << 1;
+    image
+}
+
 /// A coupler: no FMMU, no sync manager; it supplies the E-bus.
 fn ek1100() -> Description {
     Description {

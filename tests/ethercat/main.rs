@@ -13,6 +13,7 @@ mod disturbances;
 mod files;
 mod frame_faults;
 mod homing;
+mod odd_controllers;
 mod own_driver;
 mod real_chain;
 mod rig;

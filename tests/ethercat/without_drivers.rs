@@ -10,7 +10,7 @@ use etherpen::ethercat::supervisor::BusEvent;
 use etherpen::ethercat::wire::coe::Object;
 use etherpen::ethercat::wire::{Address, Command, FRAME_LEN_MAX, FrameBuilder};
 use etherpen_segment::random::Random;
-use etherpen_segment::{AlState, Fault, SegmentOptions, SlaveKind};
+use etherpen_segment::{AlState, Fault, PlaceOptions, SegmentOptions, SlaveKind};
 
 /// Cycles until a value has gone through the exchange in either direction.
 const THROUGH: u32 = 3;
@@ -235,10 +235,24 @@ fn what_another_master_left_in_ports_and_aliases_hides_no_slave() {
         (&[2, 0], &[]),
         (&[2, 1, 0], &[3, 1]),
     ] {
-        let mut bench = Bench::new(&[Ek1100, El1008, El2004, El1008], 1_000, ExchangeKind::Split, &[]);
+        let mut options = SegmentOptions {
+            slaves: vec![Ek1100, El1008, El2004, El1008],
+            places: vec![PlaceOptions::default(); 4],
+            ..SegmentOptions::default()
+        };
         for position in aliases {
-            // The address that the second slave gets, and its use.
-            write_as_another(&mut bench, *position, 0x0012, &0x1002_u16.to_le_bytes());
+            // The address that the second slave gets.
+            options.places[usize::from(*position)].alias = 0x1002;
+        }
+        let setup = BusSetup {
+            terminals: SlaveSet::ALL,
+            cycle_ns: 1_000_000,
+            watchdog_ms: 100,
+            ..BusSetup::default()
+        };
+        let mut bench = Bench::start(&options, setup);
+        for position in aliases {
+            // Its use.
             write_as_another(&mut bench, *position, 0x0103, &[1]);
         }
         for position in closed {

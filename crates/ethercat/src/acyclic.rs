@@ -6,8 +6,8 @@
 //! in a frame. Every request gets exactly one [`Reply`], in the order of its lane, at most one cycle after it was sent;
 //! the reply also reports a lost frame.
 //!
-//! Invariant: a pending future of this module is polled again every millisecond; no waker is ever registered. Time is
-//! counted in polls.
+//! Invariant: a pending future of this module is polled again every millisecond; no waker is ever registered. No clock is
+//! read: time is the number of polls.
 
 use super::error::BusError;
 use super::wire::{Address, Command};
@@ -149,12 +149,12 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
         }
     }
 
-    /// Milliseconds that this side has waited in total, wrapping.
+    /// Number of polls so far, wrapping: milliseconds if the slow side is polled once a millisecond.
     pub const fn now_ms(&self) -> u32 {
         self.polls
     }
 
-    /// Waits for `duration_ms` polls.
+    /// Waits for as many polls, which are a millisecond apart.
     pub async fn wait_ms(&mut self, duration_ms: u32) {
         let mut left = duration_ms;
         poll_fn(|_| {
@@ -289,6 +289,31 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
             }
         }
         error.map_or(Ok(()), Err)
+    }
+
+    /// Sends several datagrams in as few frames as possible until all have come back, with any working counters.
+    ///
+    /// Only for datagrams that may be executed more than once and in any order.
+    ///
+    /// # Errors
+    /// [`BusError::Lost`] after [`TRIES_MAX`] tries, or [`BusError::NoRoom`].
+    pub async fn send_all_until_answered(&mut self, requests: &[Request]) -> Result<(), BusError> {
+        let longest = requests.iter().map(|request| request.data.len()).max().unwrap_or(0);
+        for _ in 0..TRIES_MAX {
+            let (mut is_lost, mut error) = (false, None);
+            self.transact_all(requests.iter(), |reply| match reply.outcome {
+                Outcome::Processed { .. } => {}
+                Outcome::Lost => is_lost = true,
+                Outcome::NoRoom { room } => error = Some(no_room(longest, room)),
+            })
+            .await;
+            match error {
+                Some(error) => return Err(error),
+                None if !is_lost => return Ok(()),
+                None => {}
+            }
+        }
+        Err(BusError::Lost { tries: TRIES_MAX })
     }
 
     /// Reads `length` bytes (at most [`REGISTER_BYTES_MAX`]) of one slave's memory.

@@ -26,7 +26,7 @@ const TIME_MAX_MS: u64 = 3_600_000;
 const ESI_BYTES_MAX: u64 = 64 << 20;
 /// The settings of a slave, for messages.
 const SETTINGS: &str = "name=NAME, alias=N, serial=N, id=N, password=N, clock=32|64, range=turn|untold, lock=MS, boot=MS, \
-                        transition=MS, mailbox=MS or sii=needed";
+                        transition=MS, mailbox=MS, lrw=no, units=pairs or sii=needed";
 /// Ports that parentheses without a port take, in turn.
 const BRANCH_PORTS: [u8; 2] = [2, 3];
 
@@ -363,6 +363,8 @@ fn set(place: &mut PlaceOptions, setting: &str) -> Option<()> {
         "boot" => place.processor.boot_ms = milliseconds()?,
         "transition" => place.processor.transition_ms = milliseconds()?,
         "mailbox" => place.processor.mailbox_ms = milliseconds()?,
+        "lrw" if value == "no" => place.ignores_lrw = true,
+        "units" if value == "pairs" => place.takes_pairs = true,
         "sii" if value == "needed" => place.processor.reads_sii = true,
         _ => return None,
     }
@@ -433,9 +435,10 @@ mod tests {
 
     #[test]
     fn settings_belong_to_their_item() {
-        let list: SlaveList = "ek1100, cia402@alias=0x12@serial=7@id=5*2,ax2000 @clock=32@boot=500@sii=needed"
-            .parse()
-            .expect("a list");
+        let list: SlaveList =
+            "ek1100, cia402@alias=0x12@serial=7@id=5*2,ax2000 @clock=32@boot=500@sii=needed@lrw=no@units=pairs"
+                .parse()
+                .expect("a list");
         let drive = PlaceOptions {
             alias: 0x12,
             serial: Some(7),
@@ -444,6 +447,8 @@ mod tests {
         };
         let mut last = PlaceOptions {
             clock: Some(ClockWidth::Bits32),
+            ignores_lrw: true,
+            takes_pairs: true,
             ..PlaceOptions::default()
         };
         (last.processor.boot_ms, last.processor.reads_sii) = (500, true);
@@ -527,6 +532,8 @@ mod tests {
             "range=2",
             "boot=3600001",
             "sii=yes",
+            "lrw=yes",
+            "units=all",
             "speed=1",
         ] {
             let setting = SlaveListError::Setting { word: word.to_owned() };

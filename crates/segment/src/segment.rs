@@ -294,9 +294,16 @@ impl<L: Load> Segment<L> {
     /// slave without a clock. This is the truth: no frame and no delay is between it and the clocks.
     #[must_use]
     pub fn system_times_ns(&self) -> Vec<Option<u64>> {
+        let now_ns = self.true_time_ns();
         let slaves = self.chain.slaves();
-        let now_ns = slaves.iter().map(|slave| slave.now_ns()).max().unwrap_or(0);
         slaves.iter().map(|slave| slave.system_at_ns(now_ns)).collect()
+    }
+
+    /// True time up to which the slaves have run, ns: the moment of [`Self::system_times_ns`].
+    #[must_use]
+    pub fn true_time_ns(&self) -> u64 {
+        let slaves = self.chain.slaves();
+        slaves.iter().map(|slave| slave.now_ns()).max().unwrap_or(0)
     }
 
     /// Present states of the motors, in the order that their drives had in the chain at the start.

@@ -10,17 +10,15 @@ use crate::error::BusError;
 use crate::state::{AlState, INIT_TIMEOUT_MS};
 use crate::wire::register::{self, FMMU_LEN, SYNC_MANAGER_LEN, SyncManagerRepr};
 use crate::wire::sii::{FixedPart, MailboxWindow};
-use crate::wire::{Address, Command, read_u16};
+use crate::wire::{Address, Command, read_u8, read_u16};
 use heapless::Vec;
 
 /// Station address of the first slave; the others follow in chain order.
 pub const STATION_BASE: u16 = 0x1001;
 /// Station address of a slave while it is being identified.
 pub const STATION_TEMPORARY: u16 = 0x1000;
-/// Sync managers and FMMUs that are cleared together at the start; few controllers have fewer.
+/// FMMUs, or sync managers, that are cleared together.
 const CLEARED: u8 = 4;
-/// Sync managers and FMMUs of a large controller, in which another master may have left some.
-const UNITS_MAX: u8 = 8;
 
 /// Lets the ports of all slaves that frames reach open and close by themselves again, and lets no slave answer to its alias:
 /// another master may have closed a port in the middle of the chain. Behind a port that opens then may be another one.
@@ -54,17 +52,27 @@ pub async fn reset_all<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>
         }
     }
     port.broadcast_write(register::STATION_ADDRESS, &[0; 2]).await?;
-    // Apart: a controller without the second part may not take both at once.
-    for first in (0..UNITS_MAX).step_by(CLEARED.into()) {
-        port.broadcast_write(register::fmmu(first), &[0; CLEARED as usize * FMMU_LEN])
-            .await?;
-        port.broadcast_write(register::sync_manager(first), &[0; CLEARED as usize * SYNC_MANAGER_LEN])
-            .await?;
+    for first in (0..register::UNITS_MAX).step_by(CLEARED.into()) {
+        clear_units(port, first).await?;
     }
     port.broadcast_write(register::DC_CYCLIC_CONTROL, &[0; 2]).await?;
     port.broadcast_write(register::RECEIVE_ERRORS, &[0; register::ERROR_COUNTERS_LEN])
         .await?;
     Ok(())
+}
+
+/// Clears some FMMUs and sync managers of all slaves. One by one: a controller may take no write that reaches beyond one of
+/// them, or beyond the last that it has.
+async fn clear_units<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, first: u8) -> Result<(), BusError> {
+    let write = |register, data: &[u8]| Request::write(Command::Bwr, Address::broadcast(register), data);
+    let units = (first..first + CLEARED).flat_map(|unit| {
+        [
+            write(register::fmmu(unit), &[0; FMMU_LEN]),
+            write(register::sync_manager(unit), &[0; SYNC_MANAGER_LEN]),
+        ]
+    });
+    let requests: Vec<Request, { 2 * CLEARED as usize }> = units.collect();
+    port.send_all_until_answered(&requests).await
 }
 
 /// Number of slaves that answer.
@@ -197,41 +205,64 @@ fn mailbox_manager(window: MailboxWindow, control: u8) -> SyncManagerRepr {
     }
 }
 
-/// Clears a slave's sync managers and FMMUs, in INIT. A slave with fewer of them may not take all at once; then each is
-/// cleared for itself, if it exists.
+/// Clears all sync managers and FMMUs that a slave's controller has, in INIT: some together, and one by one if it does not take
+/// these.
 ///
 /// # Errors
 /// As [`AcyclicPort::send_until_counted`].
 pub async fn clear<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, station: u16) -> Result<(), BusError> {
-    let write = |register, data: &[u8]| Request::write(Command::Fpwr, Address::station(station, register), data);
-    let all = [
-        write(register::FMMU, &[0; CLEARED as usize * FMMU_LEN]),
-        write(register::SYNC_MANAGER, &[0; CLEARED as usize * SYNC_MANAGER_LEN]),
-    ];
-    // What only large controllers have.
-    for request in [
-        write(register::fmmu(CLEARED), &[0; CLEARED as usize * FMMU_LEN]),
-        write(
-            register::sync_manager(CLEARED),
-            &[0; CLEARED as usize * SYNC_MANAGER_LEN],
-        ),
-    ] {
-        port.answered(&request).await?;
-    }
-    let mut is_refused = false;
-    for request in &all {
-        is_refused |= port.answered(request).await?.1 != 1;
-    }
-    if !is_refused {
-        return Ok(());
-    }
-    // The slave may be lost.
-    port.read_u16(station, register::AL_STATUS).await?;
-    for number in 0..CLEARED {
-        let fmmu = write(register::fmmu(number), &[0; FMMU_LEN]);
-        let manager = write(register::sync_manager(number), &[0; SYNC_MANAGER_LEN]);
-        port.answered(&fmmu).await?;
-        port.answered(&manager).await?;
+    clear_fmmus(port, station).await?;
+    let managers = port.read(station, register::SYNC_MANAGER_COUNT, 1).await?;
+    clear_kind(
+        port,
+        station,
+        register::SYNC_MANAGER,
+        SYNC_MANAGER_LEN,
+        read_u8(&managers, 0),
+    )
+    .await
+}
+
+/// Clears all FMMUs that a slave's controller has: it takes no part in the exchange any more.
+///
+/// # Errors
+/// As [`AcyclicPort::send_until_counted`].
+pub async fn clear_fmmus<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+) -> Result<(), BusError> {
+    let fmmus = port.read(station, register::FMMU_COUNT, 1).await?;
+    clear_kind(port, station, register::FMMU, FMMU_LEN, read_u8(&fmmus, 0)).await
+}
+
+/// Clears the units of one kind, from their first register on, each with a number of bytes. A controller that says that it has
+/// none may have some.
+async fn clear_kind<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    register: u16,
+    length: usize,
+    count: u8,
+) -> Result<(), BusError> {
+    const BLANK: [u8; CLEARED as usize * FMMU_LEN] = [0; CLEARED as usize * FMMU_LEN];
+    let count = if count == 0 {
+        CLEARED
+    } else {
+        count.min(register::UNITS_MAX)
+    };
+    let request = |first: u8, units: u8| {
+        let address = Address::station(station, register + u16::from(first) * length as u16);
+        let data = BLANK.get(..usize::from(units) * length).unwrap_or_default();
+        Request::write(Command::Fpwr, address, data)
+    };
+    for first in (0..count).step_by(CLEARED.into()) {
+        let units = CLEARED.min(count - first);
+        if port.answered(&request(first, units)).await?.1 == 1 {
+            continue;
+        }
+        for unit in first..first + units {
+            port.answered(&request(unit, 1)).await?;
+        }
     }
     Ok(())
 }

@@ -97,6 +97,23 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         Ok(())
     }
 
+    /// Exchanges inputs and outputs apart from now on if they travel together, but a slave that has just been found does not
+    /// support LRW.
+    pub(super) async fn adapt_exchange(&mut self, number: usize) -> Result<(), BusError> {
+        let Some(station) = self.slaves.get(number).map(Slave::station) else {
+            return Ok(());
+        };
+        if self.exchange != ExchangeKind::Combined {
+            return Ok(());
+        }
+        let features = self.port.read_u16(station, register::FEATURES).await?;
+        let flags = information::general_flags(&mut self.port, station).await?;
+        if features & register::FEATURE_NO_LRW != 0 || flags & sii::FLAG_NO_LRW != 0 {
+            self.exchange = ExchangeKind::Split;
+        }
+        Ok(())
+    }
+
     /// Makes the slaves' clocks agree and has the reference's time distributed from then on.
     pub(super) async fn set_up_clocks(&mut self) -> Result<(), Failure> {
         if !self.setup.clocks {

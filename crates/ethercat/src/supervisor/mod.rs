@@ -28,6 +28,7 @@ mod start;
 mod state_request;
 
 use super::acyclic::AcyclicPort;
+use super::configure::discovery;
 use super::cyclic::{CyclicPlan, Observation};
 use super::diagnostics::{ServiceError, ServiceRequest, ServiceResult};
 use super::driver::SlaveFactory;
@@ -50,6 +51,8 @@ const INSPECTION_PAUSE_MS: u32 = 50;
 const LOOK_PERIOD_MS: u32 = 20;
 /// Shortest pause between two of them, ms.
 const LOOK_PAUSE_MS: u32 = SUSPICION_MS + 2;
+/// Time after which slaves behind a port that has been opened are counted, ms.
+const OPENED_MS: u32 = 2;
 /// How often a repair is restarted after another slave has interrupted it.
 const REPAIR_TRIES_MAX: u8 = 3;
 /// How often a step of the bring-up is begun again after slaves have disturbed it that no member needs.
@@ -200,7 +203,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         self.bus.events_dropped
     }
 
-    /// Runs the supervisor and never returns. Poll the future once a millisecond.
+    /// Runs the supervisor and never returns. Poll the future once a millisecond: the polls are its only clock, and each
+    /// counts as one millisecond of every wait and timeout.
     pub async fn run(&mut self) -> ! {
         loop {
             let command = self.inbox.commands.dequeue();
@@ -251,7 +255,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         let paused = now_ms.wrapping_sub(self.inspected_ms) < INSPECTION_PAUSE_MS;
         if self.inbox.suspicion_ms >= SUSPICION_MS && !paused {
             self.inspect_all().await;
-        } else if now_ms.wrapping_sub(self.looked_ms) >= LOOK_PERIOD_MS {
+        } else if now_ms.wrapping_sub(self.looked_ms) >= LOOK_PERIOD_MS && (self.inbox.suspicion_ms == 0 || paused) {
             self.look().await;
             // Requests to slaves that do not answer take long: what looks wrong has to be counted between two looks.
             let took_ms = self.bus.port.now_ms().wrapping_sub(now_ms);
@@ -262,6 +266,10 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
 
     /// Queries all slaves for their state, and rescans the chain if their number has changed.
     async fn inspect_all(&mut self) {
+        if self.inbox.slaves() > self.bus.present() {
+            // A slave that was plugged in with power may answer in another's place, by its alias.
+            self.open_ports().await;
+        }
         self.bus.inspect(0..SLAVES).await;
         if core::mem::take(&mut self.bus.has_lost) {
             // As many slaves as before may be others, or ones without their addresses.
@@ -277,6 +285,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             let expected = Expectation {
                 required: 0,
                 allowed: inbox::STATUS_MASK,
+                // What a new slave maps into the logical memory disturbs the others until it has been found.
+                answering: SlaveSet::NONE,
                 ..expected
             };
             let result = {
@@ -300,6 +310,21 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         self.inspected_ms = self.bus.port.now_ms();
     }
 
+    /// Opens the ports, and switches off the aliases, that another master has left otherwise in slaves that were plugged in with
+    /// power. Behind a port that opens may be another one.
+    async fn open_ports(&mut self) {
+        for _ in 0..SLAVES {
+            let before = self.inbox.slaves();
+            // What fails is done again at the next repair.
+            let _ = discovery::open_ports(&mut self.bus.port).await;
+            self.bus.port.wait_ms(OPENED_MS).await;
+            self.inbox.observe(&Expectation::ANYTHING);
+            if self.inbox.slaves() <= before {
+                return;
+            }
+        }
+    }
+
     /// Inspects the states of a few slaves, and error counters, processor watchdog and mailbox of one of them.
     async fn look(&mut self) {
         let slaves = self.bus.slaves.len().max(1);
@@ -321,6 +346,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
     /// Looks through the chain, and brings every slave in use that is not in OP back to OP.
     async fn recover(&mut self) {
         self.bus.has_lost = true;
+        self.open_ports().await;
         self.inspect_all().await;
         let transferring = self.bus.transferring().await;
         for number in 0..self.bus.slaves.len() {

@@ -15,6 +15,7 @@ use super::super::configure::{discovery, information};
 use super::super::driver::SlaveFactory;
 use super::super::error::{BusError, IdentityProperty};
 use super::super::event::Step;
+use super::super::process_data;
 use super::super::slave::{Condition, Slave};
 use super::super::slave_set::SlaveSet;
 use super::super::state::{self, AlReport, AlState};
@@ -43,18 +44,33 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         };
         let (station, at) = (slave.station(), |step| Failure::of(slave.position, step));
         let places = self.places().await.map_err(at(Step::Locate))?;
-        match places.iter().position(|there| *there == station) {
+        let is_found_anew = match places.iter().position(|there| *there == station) {
             Some(place) => {
                 self.is_in_order(&places, place, number).map_err(at(Step::Locate))?;
                 let is_known = !slave.is_refused_terminal();
-                if is_known && self.resume(number).await.is_ok() {
+                let is_foreign = process_data::maps_elsewhere(&mut self.port, &slave)
+                    .await
+                    .map_err(at(Step::Locate))?;
+                if is_foreign {
+                    // At once: it disturbs the others, whose loss ends this repair.
+                    discovery::clear_fmmus(&mut self.port, station)
+                        .await
+                        .map_err(at(Step::Init))?;
+                } else if is_known && self.resume(number).await.is_ok() {
                     return Ok(());
                 }
                 if !is_known {
                     self.read_again(number).await.map_err(at(Step::Identify))?;
                 }
+                !is_known
             }
-            None => self.take_back(number, &places).await?,
+            None => {
+                self.take_back(number, &places).await?;
+                true
+            }
+        };
+        if is_found_anew {
+            self.adapt_exchange(number).await.map_err(at(Step::Identify))?;
         }
         if let Some(slave) = self.slaves.get_mut(number) {
             // The slave goes through INIT in any case.

@@ -6,9 +6,10 @@
 //! use is recognised at once. Every other slave is an extra one: it is identified, gets a number behind all others,
 //! wherever it was plugged in, and is never used.
 //!
-//! Invariant: the rescan changes no slave's state and gives no slave process data.
+//! Invariant: the rescan changes no slave's state and gives no slave process data; what an unknown slave maps into the logical
+//! memory, it takes away.
 
-use super::super::configure::discovery::{STATION_BASE, STATION_TEMPORARY};
+use super::super::configure::discovery::{self, STATION_BASE, STATION_TEMPORARY};
 use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
 use super::super::event::BusEvent;
@@ -50,6 +51,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return Ok(false);
         }
         self.mark(place as u16, places).await?;
+        // It may have been plugged in with power, and with the mapping of another master: this would disturb the exchange.
+        let _ = discovery::clear_fmmus(&mut self.port, STATION_TEMPORARY).await;
         let fixed = match self.read_marked().await {
             Ok(fixed) => fixed,
             // It is an unknown device, unless it has gone.

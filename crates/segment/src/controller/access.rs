@@ -81,6 +81,9 @@ impl Controller {
     }
 
     fn logical(&mut self, datagram: &mut Datagram, command: Command) {
+        if command == Command::Lrw && self.silicon.ignores_lrw {
+            return;
+        }
         let (reads, writes) = (command.reads(), command.writes());
         let logical = datagram.logical_address();
         let length = datagram.data().len();
@@ -274,6 +277,9 @@ impl Controller {
     }
 
     fn write_registers(&mut self, start: usize, data: &[u8]) -> bool {
+        if self.silicon.takes_pairs && reaches_beyond_pair(start, data.len()) {
+            return false;
+        }
         let before = Before {
             unread: self.al_request.is_some() && !self.is_emulated(),
             offered: self.offers_sii(),
@@ -375,4 +381,16 @@ impl Controller {
             self.store(start, &mail);
         }
     }
+}
+
+/// Whether an access to FMMUs or sync managers reaches more than two of them.
+fn reaches_beyond_pair(start: usize, length: usize) -> bool {
+    let units = [
+        (register::FMMU, fmmu::BLOCK),
+        (register::SYNC_MANAGER, sync_manager::BLOCK),
+    ];
+    units.into_iter().any(|(first, block)| {
+        let offset = start.checked_sub(first).filter(|offset| *offset < UNITS * block);
+        offset.is_some_and(|offset| offset % block + length > 2 * block)
+    })
 }

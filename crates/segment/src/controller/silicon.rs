@@ -3,6 +3,8 @@
 /// Features: distributed clocks, and 64-bit distributed clocks.
 const FEATURE_CLOCK: u16 = 0x0004;
 const FEATURE_CLOCK_64: u16 = 0x0008;
+/// Feature: LRW is not supported.
+const FEATURE_NO_LRW: u16 = 0x0200;
 /// Feature that goes with 64-bit clocks here: enhanced link detection (MII).
 const FEATURE_ENHANCED_LINK: u16 = 0x0040;
 
@@ -26,6 +28,10 @@ pub(crate) struct Silicon {
     /// Idle state of the information memory's control register: bit 5 emulated by the processor, bit 6 reads of eight
     /// bytes, bit 7 two address bytes, bit 4 set by some controllers without a known meaning.
     pub(crate) sii_flags: u16,
+    /// Whether LRW is not supported: such a datagram passes unchanged and uncounted.
+    pub(crate) ignores_lrw: bool,
+    /// Whether a write reaches at most two FMMUs or sync managers: a longer one has no effect and does not count.
+    pub(crate) takes_pairs: bool,
 }
 
 /// Width of a slave's distributed clock.
@@ -52,6 +58,8 @@ impl Silicon {
         features: 0x01CC,
         clock: ClockWidth::Bits64,
         sii_flags: 0x0040,
+        ignores_lrw: false,
+        takes_pairs: false,
     };
 
     /// The controller of a coupler: MII, E-bus, MII.
@@ -71,6 +79,7 @@ impl Silicon {
         features: 0x01FC,
         clock: ClockWidth::DelayOnly,
         sii_flags: 0x0050,
+        ..Self::ET1100
     };
 
     /// A controller with integrated Ethernet, as on evaluation boards.
@@ -100,7 +109,17 @@ impl Silicon {
         features: 0x0184,
         clock: ClockWidth::Bits32,
         sii_flags: 0x0020,
+        ..Self::ET1100
     };
+
+    /// The controller without LRW, as its features tell.
+    pub(crate) fn without_lrw(self) -> Self {
+        Self {
+            features: self.features | FEATURE_NO_LRW,
+            ignores_lrw: true,
+            ..self
+        }
+    }
 
     /// Content of the feature register, which depends on the clock.
     pub(crate) fn feature_register(&self) -> u16 {

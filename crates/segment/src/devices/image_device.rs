@@ -134,6 +134,7 @@ fn silicon(content: &Content) -> Silicon {
     Silicon {
         fmmus: fmmus.unwrap_or(base.fmmus),
         sync_managers: sync_managers.unwrap_or(base.sync_managers),
+        ignores_lrw: content.ignores_lrw,
         ..base
     }
 }

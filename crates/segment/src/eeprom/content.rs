@@ -7,8 +7,8 @@ use crate::eeprom::windows::SyncManagerDefault;
 use crate::mailbox::process_data::{Pdo, PdoEntry};
 use etherpen_ethercat::wire::sii::{
     CATEGORY_CLOCKS, CATEGORY_END, CATEGORY_FMMU, CATEGORY_GENERAL, CATEGORY_RX_PDO, CATEGORY_STRINGS,
-    CATEGORY_SYNC_MANAGER, CATEGORY_TX_PDO, FixedPart, MailboxWindow, PDO_MANDATORY, WORD_BOOTSTRAP_IN,
-    WORD_BOOTSTRAP_OUT, WORD_CATEGORIES, WORD_CHECKSUM, checksum,
+    CATEGORY_SYNC_MANAGER, CATEGORY_TX_PDO, FLAG_NO_LRW, FixedPart, General, MailboxWindow, PDO_MANDATORY,
+    WORD_BOOTSTRAP_IN, WORD_BOOTSTRAP_OUT, WORD_CATEGORIES, WORD_CHECKSUM, checksum,
 };
 
 /// Most categories before a chain counts as endless.
@@ -28,6 +28,8 @@ pub(crate) struct Content {
     pub(crate) bootstrap_in: MailboxWindow,
     /// Whether the slave controller emulates the device: it has no processor.
     pub(crate) is_emulated: bool,
+    /// Whether the controller does not support LRW.
+    pub(crate) ignores_lrw: bool,
     /// Whether the units of a distributed clock are powered, or settings of a clock are listed.
     pub(crate) has_clock: bool,
     pub(crate) name: String,
@@ -52,7 +54,12 @@ impl Content {
         for (kind, body) in categories(image) {
             match kind {
                 CATEGORY_STRINGS => strings = texts(body),
-                CATEGORY_GENERAL => name_number = body.get(3).copied().unwrap_or(0),
+                CATEGORY_GENERAL => {
+                    name_number = body.get(3).copied().unwrap_or(0);
+                    content.ignores_lrw = body
+                        .get(General::FLAGS_AT)
+                        .is_some_and(|flags| flags & FLAG_NO_LRW != 0);
+                }
                 CATEGORY_CLOCKS => content.has_clock = true,
                 CATEGORY_FMMU => content.fmmus = body.iter().filter(|usage| !matches!(usage, 0 | 0xFF)).count(),
                 CATEGORY_SYNC_MANAGER => content.sync_managers = sync_managers(body),

@@ -80,6 +80,10 @@ impl Slave {
             (own, Some(width)) if own.has_system_time() => width,
             (own, _) => own,
         };
+        if place.ignores_lrw {
+            silicon = silicon.without_lrw();
+        }
+        silicon.takes_pairs |= place.takes_pairs;
         place.serial.iter().for_each(|serial| device.set_serial(*serial));
         if let Some((servo, one_turn)) = device.servo_mut().zip(place.one_turn) {
             servo.drive.count_one_turn(one_turn);

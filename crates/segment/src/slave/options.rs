@@ -41,6 +41,12 @@ pub struct PlaceOptions {
     /// Time constant in which the clock follows the reference clock, ms. `None` for 10 ms, which locks within half a
     /// second; the loop of real controllers takes seconds. No effect on a kind without a clock.
     pub lock_ms: Option<u32>,
+    /// Whether the controller does not support LRW, as its features tell. An information memory that says so has the same
+    /// effect; then the features do not tell.
+    pub ignores_lrw: bool,
+    /// Whether the controller takes at most two FMMUs or sync managers in one write: a longer one has no effect and does not
+    /// count.
+    pub takes_pairs: bool,
     /// The processor.
     pub processor: SlaveOptions,
 }

@@ -158,6 +158,8 @@ pub const SII_WRITE_ERROR: u16 = 1 << 14;
 /// [`SII_CONTROL`]: the interface is busy.
 pub const SII_BUSY: u16 = 1 << 15;
 
+/// Most FMMUs, or sync managers, of a controller: there is register space for so many.
+pub const UNITS_MAX: u8 = 16;
 /// Bytes of one FMMU's registers.
 pub const FMMU_LEN: usize = 16;
 /// Bytes of one sync manager's registers.
