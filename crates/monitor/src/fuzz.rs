@@ -48,6 +48,7 @@ fn mode() -> impl Strategy<Value = Mode> {
         Mode::DrivesOff,
         Mode::Unreferenced,
         Mode::Idle,
+        Mode::Homing,
         Mode::Moving,
         Mode::Drawing,
         Mode::Holding,

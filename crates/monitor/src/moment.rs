@@ -140,6 +140,8 @@ pub enum Mode {
     Unreferenced,
     /// Enabled and at rest.
     Idle,
+    /// The home switches are searched for.
+    Homing,
     /// A jog or a single move.
     Moving,
     /// A path is being drawn.
@@ -156,7 +158,10 @@ impl Mode {
     /// Whether the robot stands still in this mode.
     #[must_use]
     pub fn stands(self) -> bool {
-        !matches!(self, Self::Moving | Self::Drawing | Self::Holding | Self::Stopping)
+        !matches!(
+            self,
+            Self::Homing | Self::Moving | Self::Drawing | Self::Holding | Self::Stopping
+        )
     }
 }
 

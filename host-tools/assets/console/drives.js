@@ -57,6 +57,8 @@ function slaves(link) {
   const wire = WIRE.map(([what, name]) => injector(what, name));
   $("segment").append(kind, ...wire);
 
+  const back = $("bring-back");
+  back.addEventListener("click", () => link.command({ do: "acknowledge" }));
   const show = () => {
     const { status, segment, line_errors: counts } = link.state;
     document.body.classList.toggle("is-virtual", Boolean(segment?.kind));
@@ -76,6 +78,8 @@ function slaves(link) {
       const label = `${name} (${is_output ? "output" : "input"}${role === "none" ? "" : `, ${role.replace("_", " ")}`})`;
       return [element("div", {}, element("dt", {}, label), value), (point) => text(value, point.value === null ? "missing" : String(point.value))];
     });
+    // Without a fault; the acknowledgement of a fault brings them back too.
+    set(back, { hidden: !link.allows("acknowledge") || Boolean(status?.fault), disabled: !link.controls });
   };
   for (const name of ["status", "segment", "control", "you", "line_errors", "closed"]) link.on(name, show);
   show();

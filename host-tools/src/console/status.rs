@@ -86,8 +86,8 @@ pub fn mode_name(mode: Mode) -> &'static str {
     }
 }
 
-/// Actions allowed by a mode.
-fn allowed(mode: Mode, referenced: bool) -> Vec<&'static str> {
+/// Actions allowed by a mode. A terminal whose points are missing without a fault is brought back by an acknowledgement.
+fn allowed(mode: Mode, referenced: bool, misses_points: bool) -> Vec<&'static str> {
     let mut allowed: Vec<&'static str> = match mode {
         Mode::DrivesOff if referenced => vec!["enable", "reference", "draw"],
         Mode::DrivesOff => vec!["enable", "reference"],
@@ -100,6 +100,9 @@ fn allowed(mode: Mode, referenced: bool) -> Vec<&'static str> {
         Mode::Fault => vec!["acknowledge"],
         Mode::Startup | Mode::BusConfiguring | Mode::Stopping => Vec::new(),
     };
+    if misses_points && !allowed.is_empty() && mode != Mode::Fault {
+        allowed.push("acknowledge");
+    }
     if mode != Mode::Startup {
         allowed.push("override");
     }
@@ -222,7 +225,11 @@ pub fn view(status: &Status, silent_s: &[Option<u64>]) -> StatusView {
         override_percent: status.override_percent,
         allowed: match status.recovering {
             true => vec!["override"],
-            false => allowed(status.mode, status.referenced),
+            false => allowed(
+                status.mode,
+                status.referenced,
+                status.io.iter().any(|point| !point.valid),
+            ),
         },
         bus: bus(operational, slaves.len()),
         slaves,
@@ -343,10 +350,17 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn only_a_fault_can_be_acknowledged() {
+    fn a_fault_is_acknowledged_and_so_is_a_terminal_that_was_away() {
         for mode in [Mode::Startup, Mode::Idle, Mode::Drawing, Mode::Stopping] {
-            assert!(!allowed(mode, true).contains(&"acknowledge"));
+            assert!(!allowed(mode, true, false).contains(&"acknowledge"));
         }
-        assert!(allowed(Mode::Fault, false).contains(&"acknowledge"));
+        for mode in [Mode::DrivesOff, Mode::Idle, Mode::Drawing, Mode::Holding] {
+            assert!(allowed(mode, true, true).contains(&"acknowledge"));
+        }
+        assert!(!allowed(Mode::BusConfiguring, true, true).contains(&"acknowledge"));
+        for misses_points in [false, true] {
+            let allowed = allowed(Mode::Fault, false, misses_points);
+            assert_eq!(allowed.iter().filter(|name| **name == "acknowledge").count(), 1);
+        }
     }
 }

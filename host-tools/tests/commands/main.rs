@@ -33,6 +33,7 @@ mod outside;
 mod paper;
 mod pictures;
 mod plan;
+mod points;
 mod program;
 mod pysoem;
 mod recording;

@@ -40,7 +40,11 @@ impl Rig {
 
     /// A console whose robot goes to this place for a change of the pen.
     pub(crate) fn with_pen_change(options: CellOptions, place: Option<Position>) -> Self {
-        let config = Config::default();
+        Self::with(Config::default(), options, place)
+    }
+
+    /// A console of a robot with this configuration.
+    pub(crate) fn with(config: Config, options: CellOptions, place: Option<Position>) -> Self {
         let cell = VirtualCell::start(&config, options, Firmware::Simulated).unwrap();
         let (port, view) = (cell.port(), cell.view());
         let console = Console::start(config, TOKEN.to_owned(), port, Some((cell, "simulated")), place).unwrap();

@@ -3,7 +3,29 @@
 use super::browser::Browser;
 use super::client::Rig;
 use super::page::{DESKTOP, begin, drop_file, enable, mode, press_until, short_drawing};
+use host_tools::cell::CellOptions;
 use serde_json::json;
+
+/// An input, a word of inputs and a lamp at the terminals behind the four drives.
+const POINTS: &str = "
+[[io]]
+name = \"part\"
+slave = 5
+bit = 3
+
+[[io]]
+name = \"sensors\"
+slave = 5
+bit = 0
+type = \"u8\"
+
+[[io]]
+name = \"lamp\"
+slave = 6
+direction = \"out\"
+bit = 0
+role = \"lamp\"
+";
 
 /// Opacity of an element, 0 to 1, including that of its ancestors.
 fn opacity(browser: &mut Browser, selector: &str) -> f64 {
@@ -259,4 +281,39 @@ fn jobs_are_in_sight_and_nothing_of_the_head_is_cut() {
             );
         }
     }
+}
+
+#[test]
+fn named_inputs_and_outputs_are_shown_with_their_values_and_as_missing_without_their_terminal() {
+    let Some(mut browser) = Browser::start() else { return };
+    let config = host_tools::settings::reading::configuration(POINTS).unwrap();
+    let rig = Rig::with(config, CellOptions::default(), None);
+    let browser = &mut browser;
+    begin(browser, &rig);
+    let shows = |browser: &mut Browser, point: &str, value: &str| {
+        browser.until(&format!(
+            "[...document.querySelectorAll('#io > div')].some((it) => it.querySelector('dt').textContent === {} && \
+             it.querySelector('dd').textContent === {})",
+            json!(point),
+            json!(value)
+        ));
+    };
+    shows(browser, "part (input)", "0");
+    shows(browser, "sensors (input)", "0");
+    enable(browser);
+    shows(browser, "lamp (output, lamp)", "1");
+    browser.press("[data-inject='remove-6']");
+    shows(browser, "part (input)", "missing");
+    shows(browser, "sensors (input)", "missing");
+    browser.press("[data-inject='remove-7']");
+    shows(browser, "lamp (output, lamp)", "missing");
+    browser.press("[data-inject='insert-6']");
+    browser.press("[data-inject='insert-7']");
+    browser.until(
+        "[6, 7].every((slave) => !document.querySelector(`#slaves tr:nth-child(${slave})`).classList.contains('old'))",
+    );
+    browser.press("#bring-back");
+    shows(browser, "part (input)", "0");
+    shows(browser, "lamp (output, lamp)", "1");
+    browser.until("document.getElementById('bring-back').hidden");
 }

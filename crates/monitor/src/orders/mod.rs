@@ -243,10 +243,15 @@ impl Orders {
         let is_recent = now_ms.saturating_sub(self.commanded_ms) < REPORT_MS;
         if mode.stands() && !is_recent {
             self.begin(Order::None);
-            self.moving.forget();
             self.searching.forget();
-            self.path.forget();
-            self.jogging.forget();
+            self.forget_motions();
+        }
+        // Nothing else is accepted while the search goes on.
+        if mode == Mode::Homing && !is_recent {
+            if self.searching.answer() {
+                self.begin(Order::Search);
+            }
+            self.forget_motions();
         }
         if mode == Mode::Holding && !is_recent && self.order == Order::Path {
             self.held.get_or_insert((now_ms, false));
@@ -296,9 +301,7 @@ impl Orders {
                 if self.searching.answer() {
                     self.begin(Order::Search);
                     // It is accepted at rest only: what was asked for before it is not carried out.
-                    self.moving.forget();
-                    self.path.forget();
-                    self.jogging.forget();
+                    self.forget_motions();
                 }
             }
             Command::Cancel => {
@@ -345,6 +348,13 @@ impl Orders {
         self.is_search_guessed = false;
         self.held = None;
         self.has_jogged = false;
+    }
+
+    /// Forgets the motions that were asked for.
+    fn forget_motions(&mut self) {
+        self.moving.forget();
+        self.path.forget();
+        self.jogging.forget();
     }
 
     fn end_power(&mut self, now_ms: u64) {

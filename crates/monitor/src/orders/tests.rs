@@ -165,7 +165,7 @@ fn a_search_permits_motion_with_unknown_joints_until_it_is_refused_cancelled_or_
         let mut rig = powered();
         rig.command(Command::Search);
         rig.report(Report::Homed(false));
-        rig.report(Report::Mode(Mode::Moving));
+        rig.report(Report::Mode(Mode::Homing));
         rig.accelerate_to(0.1);
         assert_eq!(rig.run(400), Ok(()));
         rig
@@ -177,9 +177,18 @@ fn a_search_permits_motion_with_unknown_joints_until_it_is_refused_cancelled_or_
     assert_eq!(rig.run(400), Ok(()));
     rig.command(Command::Search);
     rig.report(Report::Homed(false));
-    rig.report(Report::Mode(Mode::Moving));
+    rig.report(Report::Mode(Mode::Homing));
     rig.accelerate_to(0.1);
     assert_eq!(rig.run(1_500), Ok(()));
+    // The answers to a search and to a motion behind it were lost: the mode tells which of them goes on.
+    let mut rig = powered();
+    rig.input(Input::Commanded(Command::Search));
+    rig.input(Input::Commanded(Command::Pen { down: true }));
+    rig.report(Report::Homed(false));
+    rig.accelerate_to(0.1);
+    assert_eq!(rig.run(400), Ok(()));
+    rig.report(Report::Mode(Mode::Homing));
+    assert_eq!(rig.run(2_000), Ok(()));
     let mut rig = powered();
     rig.input(Input::Commanded(Command::Search));
     rig.report(Report::Refused(Command::Search));

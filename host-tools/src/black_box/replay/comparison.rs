@@ -123,6 +123,8 @@ impl<'a> Comparison<'a> {
             return None;
         }
         let is_outside = match fault {
+            // A stop by command is not replayed, and so is not what ends it early.
+            Some(Fault::PathStopLeft(_)) if now.fault => true,
             Some(fault) => !is_replayed(&fault) || self.reaches_back(&fault),
             // Overwritten, or not written yet.
             None => self.events.begin_after(now) || now.before_end_s * 1e3 < f64::from(EVENT_MS),
