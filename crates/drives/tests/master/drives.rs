@@ -1,9 +1,12 @@
 //! How drives of every type get their process data, against a small chain of slaves.
 
-use super::fake::{FakeSegment, FakeSlave};
+use super::fake::{FakeSegment, FakeSlave, Rounding};
 use super::rig::{self, Bench, Drives, Next, run_with};
 use etherpen_drives::cia402::ControlWord;
-use etherpen_drives::{AxisMode, DriveOutput, DriveSettings, PositionRange, ax2000, generic};
+use etherpen_drives::{
+    AxisMode, DriveOutput, DriveSettings, PositionRange, QUICK_STOP_DECELERATION, ax2000, generic,
+    quick_stop_increments_s2,
+};
 use etherpen_ethercat::error::BusError;
 use etherpen_ethercat::supervisor::{BusEvent, BusSetup, Step};
 use etherpen_ethercat::wire::coe::Object;
@@ -401,6 +404,72 @@ fn a_mode_that_the_drive_does_not_show_is_refused() {
         matches!(error, BusError::SdoAbort { object, .. } if object.index == 0x6060),
         "{error:?}"
     );
+}
+
+#[test]
+fn a_quick_stop_that_a_drive_rounds_is_taken_within_2_percent_and_refused_beyond() {
+    /// The last drive of the chain rounds.
+    const ROUNDS: u8 = 3;
+    let (mut taken, mut refused) = (0, 0);
+    let mut random = 1_u32;
+    let mut any = |count: u32| {
+        random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+        (random >> 8) % count
+    };
+    for round in 0..80 {
+        let mut settings = setup(AxisMode::Velocity);
+        let acceleration = f64::from(20 + any(180));
+        settings.settings = settings.settings.map(|drive| DriveSettings {
+            quick_stop_rad_s2: acceleration,
+            ..drive
+        });
+        let written = quick_stop_increments_s2(&settings.settings[0]).unwrap();
+        let rounding = [Rounding::Down, Rounding::Up][any(2) as usize];
+        // Up to 5 % of the value; every fourth round nearly the 2 % that are tolerated, on either side.
+        let unit = match round % 4 {
+            0 => written / 50 + any(3) + 1,
+            _ => 1 + any(written / 20),
+        };
+        let unit = if round % 4 == 0 && rounding == Rounding::Down {
+            written - unit + 2
+        } else {
+            unit
+        };
+        let shown = rounding.of(written, unit);
+        let drive = [FakeSlave::drive, generic_drive][any(2) as usize];
+        let mut chain = segment(drive);
+        let slave = &mut chain.slaves[usize::from(ROUNDS)];
+        slave.coarse.push((QUICK_STOP_DECELERATION.index, unit, rounding));
+        let what = format!("{written} shown as {shown}, unit {unit}");
+        let mut ended = None;
+        run_with(
+            settings,
+            chain,
+            |_| false,
+            |_, bench, events| {
+                ended = events.iter().find_map(|event| match event {
+                    BusEvent::Operational => Some(None),
+                    BusEvent::Refused { position, step, error } => Some(Some((*position, *step, *error))),
+                    _ => None,
+                });
+                if ended == Some(None) {
+                    assert_eq!(bench.segment.states(), [8; 4], "{what}");
+                }
+                if ended.is_some() { Next::Done } else { Next::On }
+            },
+        );
+        // 2 % of what was written, to the whole increment.
+        let is_near = u64::from(written.abs_diff(shown)) * 50 <= u64::from(written);
+        let error = BusError::ReadBack {
+            object: QUICK_STOP_DECELERATION,
+            expected: written,
+            actual: shown,
+        };
+        let expected = (!is_near).then_some((Some(ROUNDS), Step::Objects, error));
+        assert_eq!(ended, Some(expected), "{what}");
+        (taken, refused) = (taken + u32::from(is_near), refused + u32::from(!is_near));
+    }
+    assert!(taken > 10 && refused > 10, "{taken} taken, {refused} refused");
 }
 
 /// The categories of an SII: sync managers at unusual places, and the velocity objects in unusual order.

@@ -15,6 +15,22 @@ use std::vec::Vec;
 
 const MEMORY: usize = 0x2000;
 
+/// How a drive rounds a value to its own unit.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Rounding {
+    Down,
+    Up,
+}
+
+impl Rounding {
+    pub(crate) fn of(self, value: u32, unit: u32) -> u32 {
+        match self {
+            Self::Down => value / unit * unit,
+            Self::Up => value.div_ceil(unit) * unit,
+        }
+    }
+}
+
 /// One slave.
 pub(crate) struct FakeSlave {
     pub(crate) memory: Vec<u8>,
@@ -28,6 +44,8 @@ pub(crate) struct FakeSlave {
     pub(crate) read_only: Vec<u16>,
     /// Objects that take a value and keep the one that they have.
     pub(crate) deaf: Vec<u16>,
+    /// Objects of 32 bits that it keeps as a multiple of a unit of its own, rounded down or up.
+    pub(crate) coarse: Vec<(u16, u32, Rounding)>,
     /// Only INIT clears the error flag.
     pub(crate) sticky_error: bool,
     /// Whether it has no processor: it copies AL control to AL status.
@@ -70,6 +88,7 @@ impl FakeSlave {
             mute: false,
             read_only: Vec::new(),
             deaf: Vec::new(),
+            coarse: Vec::new(),
             sticky_error: false,
             emulated: false,
             boots: 0,
@@ -266,6 +285,11 @@ impl FakeSlave {
                     Some(value) if value.len() == data.len() => {
                         if !self.deaf.contains(&object.index) {
                             *value = data.to_vec();
+                        }
+                        if let Some((_, unit, rounding)) = self.coarse.iter().find(|(index, ..)| *index == object.index)
+                        {
+                            let written = u32::from_le_bytes(data.try_into().unwrap());
+                            *value = rounding.of(written, *unit).to_le_bytes().to_vec();
                         }
                         Sdo::DownloadDone { object }.emit(&mut bytes)
                     }
