@@ -1,6 +1,7 @@
 //! What a slave with a processor checks, and when: sync managers, acknowledgements, access to its memory, time.
 
 use crate::{rig, rig_of};
+use etherpen_segment::random::Random;
 use etherpen_segment::rig::*;
 use etherpen_segment::{AlState, Fault, SegmentOptions, SlaveOptions, parse_slaves};
 
@@ -82,14 +83,42 @@ fn a_sync_manager_that_the_master_takes_away_is_noticed() {
         assert_eq!(rig.al_status(STATION), expected, "{register:#x}");
         assert_eq!(rig.al_status(0x1003), (4, 0));
     }
-    let mut rig = safe();
-    let frame = frame_of(&[
-        (FPWR, STATION, 0x0816, &[0]),
-        (FPWR, STATION, 0x0812, &[5, 0]),
-        (FPWR, STATION, 0x0816, &[1]),
-    ]);
-    rig.send(&frame);
-    assert_eq!(rig.al_status(STATION), (0x12, 0x001D), "another length");
+}
+
+#[test]
+fn another_length_of_a_sync_manager_is_noticed_in_safeop_and_in_op() {
+    let mut random = Random::new(3);
+    let mut lengths: Vec<u16> = (0..12).map(|_| (random.bits() % 64) as u16).collect();
+    lengths.extend([0, 1, 5, 6, 7, 0x0106]);
+    for (is_in_op, manager, code) in [
+        (false, 0x0810, 0x001D),
+        (false, 0x0818, 0x001E),
+        (true, 0x0810, 0x001D),
+        (true, 0x0818, 0x001E),
+    ] {
+        for length in &lengths {
+            let mut rig = safe();
+            let state = if is_in_op { 8 } else { 4 };
+            if is_in_op {
+                rig.cycle([0; 4], 0);
+                rig.request(8);
+                rig.cycle([0; 4], 0);
+            }
+            assert_eq!(rig.al_status(STATION), (state, 0));
+            // In one frame: the sync manager is never seen to be off.
+            let frame = frame_of(&[
+                (FPWR, STATION, manager + 6, &[0]),
+                (FPWR, STATION, manager + 2, &length.to_le_bytes()),
+                (FPWR, STATION, manager + 6, &[1]),
+            ]);
+            rig.send(&frame);
+            let what = format!("{length} bytes in {manager:#x}, OP {is_in_op}");
+            // The process data of an AX2000 have six bytes.
+            let expected = if *length == 6 { (state, 0) } else { (0x12, code) };
+            assert_eq!(rig.al_status(STATION), expected, "{what}");
+            assert_eq!(rig.al_status(0x1003), (state, 0), "{what}");
+        }
+    }
 }
 
 #[test]
