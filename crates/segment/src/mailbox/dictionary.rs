@@ -213,6 +213,20 @@ pub(crate) struct Object {
     pub(crate) entries: Vec<ObjectEntry>,
 }
 
+impl ObjectEntry {
+    /// Length of the value, bits; the most that it may have if that varies, and 0 if only the device knows.
+    pub(crate) fn bits(&self) -> u16 {
+        let bytes = match (self.kind, self.kind.bytes(), &self.content) {
+            (DataType::Boolean, ..) => return 1,
+            (_, Some(bytes), _) => bytes,
+            (_, None, Content::Fixed(value)) => value.len(),
+            (_, None, Content::Bytes { longest, .. }) => *longest,
+            (_, None, _) => 0,
+        };
+        u16::try_from(8 * bytes).unwrap_or(u16::MAX)
+    }
+}
+
 impl Object {
     /// The entry at a sub-index.
     pub(crate) fn entry(&self, sub: u8) -> Option<&ObjectEntry> {

@@ -110,8 +110,9 @@ fn entry(body: &[u8], dictionary: &Dictionary) -> Result<Vec<u8>, Abort> {
     let index = word(body, 0).ok_or(Abort::COMMAND)?;
     let sub = body.get(2).copied().ok_or(Abort::COMMAND)?;
     let object = dictionary.object(index)?;
-    let ObjectEntry { kind, access, name, .. } = object.entry(sub).ok_or(Abort::NO_SUB_INDEX)?;
-    let bits = kind.bytes().map_or(0, |bytes| bytes as u16 * 8);
+    let described = object.entry(sub).ok_or(Abort::NO_SUB_INDEX)?;
+    let ObjectEntry { kind, access, name, .. } = described;
+    let bits = described.bits();
     let mut content = Vec::from(index.to_le_bytes());
     content.extend_from_slice(&[sub, 0]);
     for number in [*kind as u16, bits, *access] {

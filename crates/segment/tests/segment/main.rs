@@ -7,6 +7,7 @@ mod files;
 mod frames;
 mod identity;
 mod replay;
+mod soem;
 mod terminals;
 mod wiring;
 
