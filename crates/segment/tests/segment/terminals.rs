@@ -3,7 +3,7 @@
 use crate::{TestRig, rig_of};
 use etherpen_segment::random::Random;
 use etherpen_segment::rig::*;
-use etherpen_segment::{AlState, Fault, SegmentOptions, SlaveKind, parse_slaves};
+use etherpen_segment::{AlState, Fault, PlaceOptions, SegmentOptions, SlaveKind, SlaveList, parse_slaves};
 
 /// Place of the datagram's data in a frame of one datagram.
 const LOGICAL: u16 = 0x0000;
@@ -464,4 +464,79 @@ fn a_32_bit_clock_reads_as_64_bits_with_an_upper_half_of_zero() {
         rig.ask(APRD, 0, 0x0920, &[0; 8]),
         (vec![0xFF, 0xFF, 0xFF, 0xFF, 0, 0, 0, 0], 1)
     );
+}
+
+/// A terminal with a byte of outputs and one of inputs, each in a sync manager of its own; its memory may say that LRW is not
+/// supported.
+fn both_ways(has_lrw: bool) -> SlaveKind {
+    let mut image = two_managers(0x0104);
+    image.truncate(0x80);
+    let mut general = [0; 32];
+    general[11] = if has_lrw { 0 } else { 1 << 1 };
+    image.extend_from_slice(&[30, 0, 16, 0]);
+    image.extend_from_slice(&general);
+    image.extend_from_slice(&[41, 0, 8, 0]);
+    image.extend_from_slice(&[0x00, 0x10, 1, 0, 0x44, 0, 1, 3]);
+    image.extend_from_slice(&[0x00, 0x11, 1, 0, 0x00, 0, 1, 4]);
+    image.extend_from_slice(&[0xFF, 0xFF]);
+    SlaveKind::Sii(image.into())
+}
+
+#[test]
+fn a_controller_without_lrw_lets_it_pass_unchanged_and_uncounted_and_takes_lrd_and_lwr() {
+    let no_lrw = PlaceOptions {
+        ignores_lrw: true,
+        ..PlaceOptions::default()
+    };
+    for (kind, place, bit, takes) in [
+        (both_ways(true), PlaceOptions::default(), 0, true),
+        (both_ways(false), PlaceOptions::default(), 0, false),
+        (both_ways(true), no_lrw, 0x02, false),
+    ] {
+        let mut rig = rig_of(SegmentOptions {
+            slaves: vec![kind],
+            places: vec![place],
+            ..SegmentOptions::default()
+        });
+        rig.ask(APWR, 0, 0x0010, &0x1001_u16.to_le_bytes());
+        assert_eq!(rig.read(0x1001, 0x0009, 1)[0] & 0x02, bit, "bit 9 of the features");
+        rig.write(0x1001, 0x0800, &[0x00, 0x10, 1, 0, 0x44, 0, 1, 0]);
+        rig.write(0x1001, 0x0808, &[0x00, 0x11, 1, 0, 0x00, 0, 1, 0]);
+        rig.write(0x1001, 0x0600, &fmmu(0, 8, 0x1000, 2));
+        let mut inputs = fmmu(0, 8, 0x1100, 1);
+        inputs[0] = 1;
+        rig.write(0x1001, 0x0610, &inputs);
+        rig.bus.set_inputs(1, &[0xA5]);
+        rig.write(0x1001, 0x0120, &[8, 0]);
+        let (data, count) = rig.ask(LRW, LOGICAL, 0, &[0x12, 0x34]);
+        let outputs = rig.bus.outputs(1);
+        match takes {
+            true => assert_eq!((data, count, outputs), (vec![0x12, 0xA5], 3, Some(vec![0x12]))),
+            false => assert_eq!((data, count, outputs), (vec![0x12, 0x34], 0, Some(vec![0]))),
+        }
+        assert_eq!(rig.ask(LRD, LOGICAL, 0, &[0, 0]), (vec![0, 0xA5], 1));
+        assert_eq!(rig.ask(LWR, LOGICAL, 0, &[0x56, 0x78]), (vec![0x56, 0x78], 1));
+        assert_eq!(rig.bus.outputs(1), Some(vec![0x56]));
+    }
+}
+
+#[test]
+fn a_controller_that_takes_its_units_in_pairs_refuses_longer_writes_as_a_whole() {
+    let SlaveList { slaves, places, .. } = "ek1100@units=pairs".parse().expect("a list");
+    let mut rig = rig_of(SegmentOptions {
+        slaves,
+        places,
+        ..SegmentOptions::default()
+    });
+    rig.ask(APWR, 0, 0x0010, &0x1001_u16.to_le_bytes());
+    for (register, block, units) in [(0x0600, 16, 8), (0x0800, 8, 8)] {
+        for first in 0..units {
+            for (count, is_taken) in [(1, true), (2, true), (3, false), (4, false)] {
+                let data = vec![0x11; block * count];
+                let at = register + (block * first) as u16;
+                let counted = rig.ask(FPWR, 0x1001, at, &data).1 == 1;
+                assert_eq!(counted, is_taken, "{count} units from {at:#06x} on");
+            }
+        }
+    }
 }
