@@ -2,7 +2,7 @@
 //
 // Used like a `select`: `value`, `disabled`, and an event `change` when a user has chosen.
 
-import { element, set } from "./dom.js";
+import { $, element, set } from "./dom.js";
 
 const ROOM = 8;
 const TALL = 380;
@@ -72,7 +72,10 @@ class Choice extends HTMLElement {
     this.button.ariaExpanded = String(opened);
     if (!opened) return;
     const at = this.button.getBoundingClientRect();
-    const [below, above] = [innerHeight - at.bottom - ROOM, at.top - ROOM];
+    // On a phone STOP lies at the lower edge, above everything: a finger that chooses something must not press it.
+    const stop = $("stop").getBoundingClientRect().top;
+    const floor = stop > innerHeight / 2 ? stop : innerHeight;
+    const [below, above] = [floor - at.bottom - ROOM, Math.min(at.top, floor) - ROOM];
     const { style } = this.list;
     const tall = Math.min(this.list.scrollHeight + 2, TALL);
     const down = below >= tall || below >= above;
@@ -80,7 +83,7 @@ class Choice extends HTMLElement {
     style.minWidth = `${at.width}px`;
     style.left = `${Math.max(ROOM, Math.min(at.left, innerWidth - this.list.offsetWidth - ROOM))}px`;
     style.top = down ? `${at.bottom + 4}px` : "auto";
-    style.bottom = down ? "auto" : `${innerHeight - at.top + 4}px`;
+    style.bottom = down ? "auto" : `${innerHeight - Math.min(at.top, floor) + 4}px`;
     this.list.querySelector("[aria-selected=true]")?.scrollIntoView({ block: "nearest" });
   }
 

@@ -7,6 +7,8 @@ import { $, element, set, text } from "./dom.js";
 const STEP = 0.01;
 // Least radius of a face, pixels of the photograph.
 const RADIUS_MIN = 4;
+// Least way of the pointer that moves something, px on the page.
+const DRAG_MIN_PX = 4;
 // Largest height of the photograph on the page, px.
 const TALL_PX = 340;
 const ARROWS = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
@@ -117,7 +119,9 @@ export function crop(link, fields) {
   const drag = (event) => {
     if (!held) return;
     const scale = photo.size_px[0] / box.clientWidth;
-    const by = [(event.clientX - held.from[0]) * scale, (event.clientY - held.from[1]) * scale];
+    const by = [event.clientX - held.from[0], event.clientY - held.from[1]].map((side) => side * scale);
+    // A hand that presses a button moves a little.
+    if (!held.changed && Math.hypot(...by) < DRAG_MIN_PX * scale) return;
     if (held.circle) face = turned(held.values, by, held.grows);
     else part = moved(held.values, by, held.corner);
     held.changed = true;

@@ -339,23 +339,23 @@ impl Console {
     /// Prepares a file, replacing any other.
     fn prepare(self: &Arc<Self>, name: &str, wishes: PageOptions, content: Vec<u8>) -> Result<(), String> {
         let name = preparation::shown_name(name);
-        let number = lock(&self.preview).number + 1;
+        let preview = lock(&self.preview);
+        let number = preview.number + 1;
         let source = Arc::new(Source { number, name, content });
         self.end_variants();
-        self.want(Preparation { source, wishes })
+        self.want(preview, Preparation { source, wishes })
     }
 
     /// Prepares the present file with other options.
     fn replan(self: &Arc<Self>, wishes: PageOptions) -> Result<(), String> {
-        let wanted = lock(&self.preview).wanted.clone();
-        let Some(Preparation { source, .. }) = wanted else {
+        let mut preview = lock(&self.preview);
+        let Some(Preparation { source, .. }) = preview.wanted.clone() else {
             return Err("there is no file to plan; drop one".to_owned());
         };
         let preparation = Preparation { source, wishes };
         let Some(made) = self.variant_of(&preparation) else {
-            return self.want(preparation);
+            return self.want(preview, preparation);
         };
-        let mut preview = lock(&self.preview);
         preview.number += 1;
         preview.begun = preview.number;
         preview.wanted = Some(preparation);
@@ -366,22 +366,19 @@ impl Console {
 
     /// Starts a preparation in a separate thread at once. The last preparation requested wins; if too many outdated
     /// ones are running, it starts when one of them ends.
-    fn want(self: &Arc<Self>, preparation: Preparation) -> Result<(), String> {
-        let begins = {
-            let mut preview = lock(&self.preview);
-            preview.number += 1;
-            preview.made = None;
-            let is_same = |wanted: &Preparation| Arc::ptr_eq(&wanted.source, &preparation.source);
-            if !preview.wanted.as_ref().is_some_and(is_same) {
-                preview.photograph = None;
-            }
-            preview.wanted = Some(preparation);
-            let view = preview.view();
-            let begins = preview.running < PREPARATIONS_MAX;
-            preview.running += usize::from(begins);
-            self.change(|hub| hub.say(Topic::Preparation, &view));
-            begins
-        };
+    fn want(self: &Arc<Self>, mut preview: MutexGuard<'_, Preview>, preparation: Preparation) -> Result<(), String> {
+        preview.number += 1;
+        preview.made = None;
+        let is_same = |wanted: &Preparation| Arc::ptr_eq(&wanted.source, &preparation.source);
+        if !preview.wanted.as_ref().is_some_and(is_same) {
+            preview.photograph = None;
+        }
+        preview.wanted = Some(preparation);
+        let view = preview.view();
+        let begins = preview.running < PREPARATIONS_MAX;
+        preview.running += usize::from(begins);
+        self.change(|hub| hub.say(Topic::Preparation, &view));
+        drop(preview);
         if !begins {
             return Ok(());
         }
@@ -429,7 +426,6 @@ impl Console {
         let mut preview = lock(&self.preview);
         if preview.number == preparation {
             (preview.made, preview.wanted, preview.photograph) = (None, None, None);
-            drop(preview);
             self.end_variants();
         }
         Ok(())

@@ -189,16 +189,15 @@ fn picture_of(made: &Made, config: &Config) -> Option<Bytes> {
 impl Console {
     /// Begins to draw the present photograph in several ways.
     pub(super) fn vary(self: &Arc<Self>) -> Result<(), String> {
-        let present = {
-            let preview = lock(&self.preview);
-            let made = preview.made.clone().filter(|made| made.photograph.is_some());
-            preview.wanted.clone().zip(made)
-        };
-        let Some((preparation, first)) = present else {
+        // Held until the variants belong to its file: another one may be dropped at any time.
+        let preview = lock(&self.preview);
+        let made = preview.made.clone().filter(|made| made.photograph.is_some());
+        let Some((preparation, first)) = preview.wanted.clone().zip(made) else {
             return Err("variants are made of a photograph; drop one, and wait for its preview".to_owned());
         };
         let explicit = preparation.wishes.explicit()?;
         let begins = self.change_variants(|variants| variants.begin(&preparation, &explicit, &first));
+        drop(preview);
         if !begins {
             return Ok(());
         }

@@ -402,13 +402,14 @@ fn variants_are_made_of_a_photograph_alone_and_end_with_it() {
         all["state"] == "ready"
     });
     // Without a face, crop and background change nothing: a variant for each style.
-    let mut styles: Vec<&Value> = all["items"]
+    let mut styles: Vec<String> = all["items"]
         .as_array()
         .unwrap()
         .iter()
-        .map(|item| &item["wishes"]["style"])
+        .map(|item| item["wishes"]["style"].to_string())
         .collect();
     let count = styles.len();
+    styles.sort();
     styles.dedup();
     assert!(styles.len() == count && count >= 3, "{styles:?}");
     viewer.catch_up();

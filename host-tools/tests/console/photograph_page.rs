@@ -4,7 +4,7 @@
 
 use super::browser::Browser;
 use super::client::Rig;
-use super::page::{DESKTOP, PHONE, begin, drop_file, small_photograph};
+use super::page::{DESKTOP, PHONE, begin, drop_file, enable, small_photograph};
 use super::photograph::{astronaut, disc};
 use serde_json::json;
 
@@ -49,6 +49,12 @@ fn pick(browser: &mut Browser, field: &str, value: &str) {
     let list = format!("#options .field:has(choice-list[label^={}]) choice-list", json!(field));
     browser.click(&format!("{list} > button"));
     browser.click(&format!("{list} li[data-value={}]", json!(value)));
+    // No value lies under STOP.
+    assert_eq!(
+        browser.value("etherpen.link.state.status.stopped"),
+        false,
+        "{field}: {value}"
+    );
 }
 
 /// Width and height of the preview's ink on the sheet, mm.
@@ -67,6 +73,7 @@ fn frame_by_hand(size: (u32, u32)) {
     let rig = Rig::start();
     let browser = &mut browser;
     begin(browser, &rig);
+    enable(browser);
     browser.window(size.0, size.1);
     browser.until(&format!("innerWidth === {}", size.0));
     browser.value("{ etherpen.link.on('path', (path) => { if (path.use === 2) globalThis.path = path; }); setInterval(() => { const { link } = etherpen; if (link.state.control?.holder === null) link.send({ type: 'take' }); }, 300); }");
@@ -76,15 +83,12 @@ fn frame_by_hand(size: (u32, u32)) {
     // The automatic choice is seen, and is the head.
     assert_framed(browser);
     let head = window(browser);
-    assert!(
-        head[2] < 400.0
-            && browser
-                .value("document.querySelector('#photograph .note').textContent")
-                .as_str()
-                .unwrap()
-                .contains("automatic"),
-        "{head:?}"
-    );
+    let is_automatic = "document.querySelector('#photograph .note').textContent.includes('automatic')";
+    assert!(head[2] < 400.0 && browser.value(is_automatic) == true, "{head:?}");
+    // A press with a hand that is not quite still moves nothing.
+    let middle = browser.place(".photograph .frame");
+    browser.drag(size.0 < 600, middle, [middle[0] + 2.0, middle[1] + 1.0]);
+    assert_eq!(browser.value(is_automatic), true);
     browser.keep(&format!("20 photograph {}", size.0));
 
     // A corner is dragged: only its two sides move, by the pointer's way, and what is drawn has the frame's shape.
@@ -148,6 +152,10 @@ fn frame_by_hand(size: (u32, u32)) {
     ));
     assert_framed(browser);
     assert_eq!(browser.value("jogs"), 0);
+    // Beside the frame the same key jogs.
+    browser.value("{ document.activeElement.blur(); }");
+    browser.key("ArrowLeft", 37);
+    browser.until("jogs > 0");
     browser.value("{ document.getElementById('jog-keys').click(); }");
 
     // The list: everything, then the person's own numbers.
