@@ -2,6 +2,7 @@
 
 use crate::STILL_RAD_S;
 use crate::robot::{Robot, path};
+use crate::true_times::Steps;
 use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::config::Config;
 use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest};
@@ -163,35 +164,108 @@ fn differences_ns(robot: &mut Robot) -> Vec<i32> {
     differences
 }
 
+/// Most that a clock gains or loses in a millisecond of true time while nothing corrects it, ns: it drifts by 30 ppm, and one
+/// that is cut off keeps as much as it has learnt.
+const DRIFT_MAX_NS: i64 = 60;
+/// Most that the control loop of a clock corrects in a millisecond, ns, and its drift.
+const CORRECTION_MAX_NS: i64 = 101_100;
+
+/// How far clocks may leave true time besides their drift, ns: in a millisecond, and altogether.
+type Bounds = [i64; 2];
+
+/// They go on as if nothing had happened.
+const UNTOUCHED: Bounds = [DRIFT_MAX_NS, 0];
+/// A reference falls silent: the others follow its last time, at the speed of their loops, until another one is named.
+const SILENT_REFERENCE: Bounds = [CORRECTION_MAX_NS, 2_000_000];
+/// All are cut off at once: the master continues their time by its polls, and they follow at the speed of their loops.
+const CONTINUED_TIME: Bounds = [CORRECTION_MAX_NS, 2_000_000];
+/// The first one distributes their time again, by a measurement from before.
+const OLD_MEASUREMENT: Bounds = [5_000, 50_000];
+
+/// Slaves that are away for ten seconds, and the clocks of the others.
+struct Absence {
+    faults: &'static [CellFault],
+    returns: Option<CellFault>,
+    /// Slaves that keep their power and their place, from 1.
+    stay: &'static [usize],
+    /// What the loss may do to their clocks, and what the repair may.
+    loss: Bounds,
+    repair: Bounds,
+}
+
+const ABSENCES: [Absence; 3] = [
+    Absence {
+        faults: &[CellFault::Power(3, 10_000), CellFault::Power(4, 10_000)],
+        returns: None,
+        stay: &[1, 2],
+        loss: UNTOUCHED,
+        repair: UNTOUCHED,
+    },
+    Absence {
+        faults: &[CellFault::Power(1, 10_000)],
+        returns: None,
+        stay: &[2, 3, 4],
+        loss: UNTOUCHED,
+        repair: CONTINUED_TIME,
+    },
+    Absence {
+        faults: &[CellFault::Remove(1)],
+        returns: Some(CellFault::Insert(1)),
+        stay: &[2, 3, 4],
+        loss: SILENT_REFERENCE,
+        repair: OLD_MEASUREMENT,
+    },
+];
+
+/// Asserts that the true clocks of these slaves have not jumped since the last call.
+fn assert_no_jump(robot: &mut Robot, slaves: &[usize], [step_max_ns, sum_max_ns]: Bounds, when: &str) {
+    let steps = robot.steps.replace(Steps::default()).expect("the clocks are seen");
+    for slave in slaves {
+        let [step_ns, sum_ns] = steps.of(*slave);
+        println!(
+            "    {when}, slave {slave}: {step_ns} ns in a millisecond, {sum_ns} ns in {} ms",
+            steps.seen()
+        );
+        let drift_max_ns = DRIFT_MAX_NS * i64::from(steps.seen());
+        assert!(step_ns <= step_max_ns, "{when}, slave {slave}: {step_ns} ns");
+        assert!(
+            sum_ns.abs() <= sum_max_ns + drift_max_ns,
+            "{when}, slave {slave}: {sum_ns} ns"
+        );
+    }
+}
+
 #[test]
 fn drives_that_were_off_or_away_for_long_get_the_time_back_with_one_acknowledgement() {
-    let cases: [&[(CellFault, CellFault)]; 3] = [
-        &[
-            (CellFault::Power(3, 10_000), CellFault::Power(3, 1)),
-            (CellFault::Power(4, 10_000), CellFault::Power(4, 1)),
-        ],
-        &[(CellFault::Power(1, 10_000), CellFault::Power(1, 1))],
-        &[(CellFault::Remove(1), CellFault::Insert(1))],
-    ];
-    for (number, faults) in cases.into_iter().enumerate() {
-        println!("{faults:?}");
+    for absence in &ABSENCES {
+        println!("{:?}", absence.faults);
         let mut robot = with(true).enabled().in_a_drawing();
-        for (fault, _) in faults {
+        robot.steps = Some(Steps::default());
+        for fault in absence.faults {
             robot.inject(*fault);
         }
-        robot.run(10_200);
-        if let (2, [(_, inserted)]) = (number, faults) {
-            robot.inject(*inserted);
+        robot.run(200);
+        assert_no_jump(&mut robot, absence.stay, absence.loss, "lost");
+        robot.run(10_000);
+        if let Some(fault) = absence.returns {
+            robot.inject(fault);
             robot.run(200);
         }
-        println!("    {:?}", robot.fault());
+        assert_no_jump(&mut robot, absence.stay, UNTOUCHED, "away");
         assert_eq!(acknowledge(&mut robot), None);
         robot.run(1_000);
+        assert_no_jump(&mut robot, absence.stay, absence.repair, "taken back");
         let differences = differences_ns(&mut robot);
         println!("    differences {differences:?} ns");
         assert_eq!(differences.len(), 4);
         assert!(differences.iter().all(|off_ns| off_ns.abs() < 1_000));
+        assert_truly_agree(&mut robot, &[1, 2, 3, 4], "taken back");
         assert_eq!(come_back(&mut robot, 0), 0);
+        assert_no_jump(&mut robot, &[1, 2, 3, 4], UNTOUCHED, "drawn");
+        assert_truly_agree(&mut robot, &[1, 2, 3, 4], "drawn");
+        let is_of_clocks = |fault: &Fault| matches!(fault, Fault::ClockJump { .. } | Fault::ClockLost { .. });
+        println!("    told: {:?}", robot.faults);
+        assert!(!robot.faults.is_empty() && !robot.faults.iter().any(is_of_clocks));
     }
 }
 

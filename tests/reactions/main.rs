@@ -34,6 +34,7 @@ mod pen_servo;
 mod position;
 mod robot;
 mod stale;
+mod true_times;
 mod unreferenced;
 
 use etherpen::application::{Fault, Mode, Refusal, StopSource};

@@ -1,6 +1,7 @@
 //! A robot in virtual time and an operator at its link, one millisecond at a time.
 
 use crate::again::clocks_are_on;
+use crate::true_times::Steps;
 use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::board::PortState;
 use etherpen::config::Config;
@@ -121,6 +122,10 @@ pub(crate) struct Robot {
     unheard: Box<Decoder>,
     /// The last acknowledgement of the path.
     pub(crate) ack: PathAck,
+    /// Faults that the operator was told, in order.
+    pub(crate) faults: Vec<Fault>,
+    /// Sees the true clocks each millisecond.
+    pub(crate) steps: Option<Steps>,
     /// All samples.
     pub(crate) samples: Vec<Sample>,
     /// Answers to configurations.
@@ -191,6 +196,8 @@ impl Robot {
             reported: None,
             unheard: Box::default(),
             ack: PathAck::default(),
+            faults: Vec::new(),
+            steps: None,
             samples: Vec::new(),
             configured: Vec::new(),
             refused: Vec::new(),
@@ -427,6 +434,10 @@ impl Robot {
                 .send(line[lost..length].to_vec())
                 .expect("the simulation runs");
             self.next = self.next_message();
+            if let Some(steps) = &mut self.steps {
+                let cell = self.cell.lock().unwrap();
+                steps.see(cell.true_time_ns(), &cell.system_times_ns());
+            }
         }
     }
 
@@ -480,6 +491,9 @@ impl Robot {
             Event::Ack(ack) => self.ack = ack,
             Event::VertexRefused(refusal) => self.refused.push(refusal),
             Event::Status(status) => {
+                if status.fault != self.fault() {
+                    self.faults.extend(status.fault);
+                }
                 self.reported = Some(status.clone());
                 self.status = Some(status);
             }

@@ -325,6 +325,12 @@ impl Cell {
         self.segment.system_times_ns()
     }
 
+    /// The moment of [`Self::system_times_ns`] in true time, ns.
+    #[must_use]
+    pub fn true_time_ns(&self) -> u64 {
+        self.segment.true_time_ns()
+    }
+
     /// The motors and the pen at present.
     #[must_use]
     pub fn truth(&self) -> Truth {
