@@ -14,9 +14,10 @@ use host_tools::link::text;
 
 /// Speeds of the pen on the paper, mm/s.
 const SPEEDS_MM_S: [f64; 2] = [60.0, 400.0];
-/// How far the ink of AKD drives may be from that of drives with a velocity beside the target, mm, besides half the distance
-/// of two points of ink.
-const APART_MM: f64 = 0.03;
+/// How far the ink of AKD drives may be from that of drives with a velocity beside the target, mm, at each of these speeds.
+const APART_MM: [f64; 2] = [0.06, 0.18];
+/// How far ink may be from that of a sound robot with the same drives, mm.
+const ALIKE_MM: f64 = 0.06;
 /// How far ink may be from the ink of a sound robot after single lost targets, mm: the drives extrapolate.
 const EXTRAPOLATED_MM: f64 = 0.07;
 /// How far a joint runs on in the quick stop at least, rad: 600 increments, far beyond what may happen while enabling.
@@ -51,8 +52,8 @@ fn sound(kind: &SlaveKind, config: &Config) -> Vec<InkStroke> {
 }
 
 #[test]
-fn akd_drives_draw_what_other_drives_in_position_mode_draw_also_with_targets_lost() {
-    for speed_mm_s in SPEEDS_MM_S {
+pub(crate) fn akd_drives_draw_what_other_drives_in_position_mode_draw_also_with_targets_lost() {
+    for (speed_mm_s, apart_max_mm) in SPEEDS_MM_S.into_iter().zip(APART_MM) {
         let config = config(speed_mm_s);
         let ink = sound(&SlaveKind::Akd, &config);
         let apart = apart_mm(&ink, &sound(&SlaveKind::Cia402, &config));
@@ -66,13 +67,13 @@ fn akd_drives_draw_what_other_drives_in_position_mode_draw_also_with_targets_los
         }
         let extrapolated = apart_mm(&robot.ink(), &ink);
         println!("{speed_mm_s} mm/s: {apart:.4} mm from other drives, {extrapolated:.4} mm with {lost} frames lost");
-        assert!(apart < APART_MM + 0.5e-3 * speed_mm_s, "{apart} mm");
+        assert!(apart < apart_max_mm, "{apart} mm");
         assert!(lost > 10 && extrapolated < EXTRAPOLATED_MM, "{extrapolated} mm");
     }
 }
 
 #[test]
-fn drives_enabled_elsewhere_than_at_their_last_target_do_not_move() {
+pub(crate) fn drives_enabled_elsewhere_than_at_their_last_target_do_not_move() {
     for kind in [SlaveKind::Akd, SlaveKind::Cia402] {
         let config = config(400.0);
         let mut robot = idle(&kind, &config).in_a_drawing();
@@ -103,7 +104,7 @@ fn drives_enabled_elsewhere_than_at_their_last_target_do_not_move() {
 }
 
 #[test]
-fn whatever_an_akd_forgets_it_is_told_again_and_the_next_drawing_comes_out_right() {
+pub(crate) fn whatever_an_akd_forgets_it_is_told_again_and_the_next_drawing_comes_out_right() {
     for speed_mm_s in SPEEDS_MM_S {
         let config = config(speed_mm_s);
         let expected = sound(&SlaveKind::Akd, &config);
@@ -127,13 +128,13 @@ fn whatever_an_akd_forgets_it_is_told_again_and_the_next_drawing_comes_out_right
             robot.run_until("the path is executed", Robot::has_drawn);
             let apart = apart_mm(&robot.ink()[strokes..], &expected);
             println!("    the next drawing is {apart:.4} mm from that of a sound robot");
-            assert!(apart < APART_MM + 0.5e-3 * speed_mm_s, "{what}: {apart} mm");
+            assert!(apart < ALIKE_MM, "{what}: {apart} mm");
         }
     }
 }
 
 #[test]
-fn a_drive_without_a_position_mode_is_refused_by_name_and_nothing_moves() {
+pub(crate) fn a_drive_without_a_position_mode_is_refused_by_name_and_nothing_moves() {
     let config = config(60.0);
     let mut robot = Robot::of(&config, cell(&SlaveKind::Ax2000));
     let before = robot.cell().joints;

@@ -1,7 +1,4 @@
 //! The tests of faults again, with distributed clocks.
-//!
-//! `bursts`, `identity`, `liveness`, `outputs` and `stale` choose for themselves. Without clocks only run the tables of
-//! `docs/faults.md` (`feedback`, `matrix`) and the soaks of the feedback: their figures belong to the usual configuration.
 
 use crate::again::left_out;
 
@@ -29,6 +26,11 @@ again! {
         a_vertex_outside_the_work_area_is_refused_with_its_index,
         power_is_taken_only_from_a_robot_that_stands_with_its_brakes_closed,
         enabling_far_from_the_last_reference_is_without_a_bump;
+    akd [crate::akd]
+        akd_drives_draw_what_other_drives_in_position_mode_draw_also_with_targets_lost,
+        drives_enabled_elsewhere_than_at_their_last_target_do_not_move,
+        whatever_an_akd_forgets_it_is_told_again_and_the_next_drawing_comes_out_right,
+        a_drive_without_a_position_mode_is_refused_by_name_and_nothing_moves;
     axes [crate::axes]
         a_robot_without_its_fourth_axis_draws_the_same_lines,
         faults_of_a_robot_without_its_fourth_axis_are_told_as_with_it_and_it_comes_back;
@@ -47,6 +49,8 @@ again! {
     commands [crate::commands]
         whatever_was_pressed_at_once_the_robot_draws_afterwards,
         a_reference_and_a_motion_at_once_never_leave_the_robot_moving;
+    feedback [crate::feedback]
+        after_a_frozen_feedback_the_next_drawing_comes_out_right;
     homing [crate::homing]
         a_gantry_finds_its_switches_from_wherever_it_stands_and_never_touches_an_end_stop,
         an_axis_that_stands_at_its_switch_leaves_it_first,
@@ -72,14 +76,37 @@ again! {
         a_configuration_with_a_wrong_point_is_refused_with_its_reason,
         terminals_at_each_others_places_are_refused_with_both_and_draw_when_they_are_put_back,
         a_terminal_of_another_product_than_expected_is_refused_and_the_right_one_is_taken_in_its_place;
+    io_samples [crate::io_samples]
+        an_input_and_an_output_are_in_the_sample_of_the_millisecond_in_which_they_change,
+        a_terminal_that_is_lost_is_missing_in_the_samples_and_a_word_shows_whether_it_is_0;
+    io_words [crate::io_words]
+        analogue_inputs_and_outputs_are_in_the_sample_of_the_millisecond_in_which_they_change,
+        words_of_a_terminal_that_is_lost_have_no_value_and_are_back_with_it;
+    limits [crate::limits]
+        a_limit_switch_that_opens_while_drawing_stops_the_motors_and_names_its_axis,
+        a_terminal_of_limit_switches_that_fails_is_a_fault,
+        homing_takes_no_notice_of_limit_switches_and_motion_after_it_does;
+    other_side [crate::other_side]
+        a_joint_pushed_to_the_other_side_is_told_and_the_robot_works_again_once_it_is_pushed_back;
     outside [crate::outside]
         from_outside_the_work_area_the_robot_is_jogged_in_and_nowhere_else,
         a_move_brings_the_robot_in_from_outside_the_work_area;
+    path_stop [crate::path_stop]
+        a_stop_twice_while_held_while_braking_for_a_hold_and_in_single_motions_is_one_stop,
+        a_fault_in_a_stop_on_the_path_is_a_quick_stop_as_soon_as_in_a_drawing,
+        a_stop_while_the_axes_are_led_to_their_switches_is_the_quick_stop;
+    path_stop_left [crate::path_stop_left]
+        a_stop_that_leaves_its_path_is_a_quick_stop_that_names_the_axis_and_the_part_of_the_envelope,
+        a_stop_that_keeps_its_path_is_not_counted_as_one_that_left_it;
     pen_output [crate::pen_output]
         a_terminal_that_fails_while_its_pen_draws_is_a_fault_and_a_held_drawing_has_its_pen_up,
         the_pen_is_up_until_the_machine_is_homed_in_a_search_and_on_the_way_down_to_the_sheet,
         a_way_down_that_ends_above_the_paper_is_travel_and_leaves_no_ink,
         a_tool_that_nothing_lifts_touches_always_and_draws_its_travel_too;
+    pen_servo [crate::pen_servo]
+        ink_begins_and_ends_with_the_line_at_a_servos_speed,
+        the_servo_lifts_the_pen_at_every_stop_and_keeps_it_up_when_power_comes_back,
+        a_hold_lifts_the_servos_pen_and_its_terminals_failure_is_a_fault;
     position [crate::position]
         enabling_and_holding_moves_no_joint_and_a_pushed_target_is_not_taken_over,
         single_lost_targets_leave_no_trace_because_the_drives_extrapolate,
@@ -94,7 +121,7 @@ again! {
 }
 
 /// Tests of these modules that run without clocks only, and why.
-const WITHOUT: [(&str, &str); 4] = [
+const WITHOUT: [(&str, &str); 7] = [
     (
         "a_configuration_is_needed_checked_and_kept",
         "it compares configurations, to which the clocks belong",
@@ -102,6 +129,18 @@ const WITHOUT: [(&str, &str); 4] = [
     (
         "the_emulated_board_stops_for_its_emergency_stop_input_and_for_its_clock_and_recovers",
         "the emulator takes long",
+    ),
+    (
+        "a_limit_switch_without_an_axis_of_the_machine_is_refused",
+        "it checks configurations and runs no robot",
+    ),
+    (
+        "the_table_of_the_stops_is_that_of_the_documentation",
+        "it measures a table of the usual configuration",
+    ),
+    (
+        "a_stop_anywhere_on_a_drawing_keeps_its_path_in_each_mode_of_the_drives",
+        "it scans a hundred stops, and the stops with faults of the same module run with clocks",
     ),
     (
         "the_pen_is_off_at_once_at_a_stop_a_drive_fault_and_a_lost_terminal_and_stays_up_when_power_comes_back",
@@ -112,6 +151,36 @@ const WITHOUT: [(&str, &str); 4] = [
         "it takes minutes, and the faults are those of other modules, which run with clocks",
     ),
 ];
+
+const CHOOSES: &str = "its tests choose for themselves";
+const USUAL: &str = "its figures belong to the usual configuration";
+const NO_TESTS: &str = "it has no tests of its own";
+
+/// Modules that run without clocks only, or not from here, and why.
+const MODULES_WITHOUT: [(&str, &str); 13] = [
+    ("again", NO_TESTS),
+    ("bursts", CHOOSES),
+    ("clocks", "it runs the others"),
+    ("dense", "it has no fault and looks at the link"),
+    ("feedback_scan", USUAL),
+    ("feedback_soak", USUAL),
+    ("identity", CHOOSES),
+    ("liveness", CHOOSES),
+    ("matrix", USUAL),
+    ("outputs", CHOOSES),
+    ("robot", NO_TESTS),
+    ("stale", CHOOSES),
+    ("true_times", NO_TESTS),
+];
+
+#[test]
+fn every_module_of_tests_runs_with_clocks_too_or_says_why_not() {
+    let lines = include_str!("main.rs").lines();
+    let modules = lines.filter_map(|line| line.strip_prefix("mod ")?.strip_suffix(';'));
+    let is_listed = |module: &&str| AGAIN.iter().any(|(listed, _, _)| listed == module);
+    let without: Vec<_> = modules.filter(|module| !is_listed(module)).collect();
+    assert_eq!(without, MODULES_WITHOUT.map(|(module, _)| module));
+}
 
 #[test]
 fn every_test_of_faults_runs_with_clocks_too_or_says_why_not() {

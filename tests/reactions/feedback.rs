@@ -9,7 +9,7 @@ use etherpen::application::{Fault, Mode};
 use etherpen::config::{AxisMode, Config};
 use etherpen::messages::Command;
 use etherpen::robots::{MAIN_AXES, Position};
-use host_tools::cell::{DriveState, Fault as CellFault, ResolverFault};
+use host_tools::cell::{DriveState, Fault as CellFault, InkStroke, ResolverFault};
 use host_tools::random::Random;
 
 /// Where a motion begins, mm.
@@ -279,28 +279,47 @@ pub(crate) fn in_mode(mode: AxisMode) -> Config {
     config
 }
 
-/// Largest distance of the ink of some strokes from other ink, mm.
-pub(crate) fn apart_mm(ink: &[host_tools::cell::InkStroke], other: &[host_tools::cell::InkStroke]) -> f64 {
-    let points = |strokes: &[host_tools::cell::InkStroke]| -> Vec<[f64; 2]> {
-        strokes
-            .iter()
-            .flat_map(|stroke| stroke.points_mm.iter().map(|point| [point[0], point[1]]))
-            .collect()
+/// Distance of a point from a line between two others, mm.
+fn from_line_mm(point: [f64; 2], [begin, end]: [[f64; 2]; 2]) -> f64 {
+    let (along, from) = ([0, 1].map(|k| end[k] - begin[k]), [0, 1].map(|k| point[k] - begin[k]));
+    let square = along[0] * along[0] + along[1] * along[1];
+    let part = match square > 0.0 {
+        true => ((from[0] * along[0] + from[1] * along[1]) / square).clamp(0.0, 1.0),
+        false => 0.0,
     };
-    let (ink, other) = (points(ink), points(other));
-    let nearest = |point: &[f64; 2], among: &[[f64; 2]]| {
-        let squares = among
-            .iter()
-            .map(|near| (near[0] - point[0]).powi(2) + (near[1] - point[1]).powi(2));
-        squares.fold(f64::INFINITY, f64::min).sqrt()
+    (from[0] - part * along[0]).hypot(from[1] - part * along[1])
+}
+
+/// Distance of a point from the line of a stroke beside the point of ink that is nearest to it, mm.
+fn from_stroke_mm(point: [f64; 2], stroke: &InkStroke) -> f64 {
+    let points = &stroke.points_mm;
+    let (mut nearest, mut least) = (0, f64::INFINITY);
+    for (index, [x_mm, y_mm]) in points.iter().enumerate() {
+        let square = (x_mm - point[0]) * (x_mm - point[0]) + (y_mm - point[1]) * (y_mm - point[1]);
+        if square < least {
+            (nearest, least) = (index, square);
+        }
+    }
+    let beside = points[nearest.saturating_sub(1)..].windows(2).take(2);
+    let distances = beside.map(|pair| from_line_mm(point, [pair[0], pair[1]]));
+    distances.fold(least.sqrt(), f64::min)
+}
+
+/// Largest distance of the points of some ink from the lines of other ink, and the other way round, mm.
+pub(crate) fn apart_mm(ink: &[InkStroke], other: &[InkStroke]) -> f64 {
+    let off_mm = |point: &[f64; 2], lines: &[InkStroke]| {
+        let distances = lines.iter().map(|stroke| from_stroke_mm(*point, stroke));
+        distances.fold(f64::INFINITY, f64::min)
     };
-    let one_way = ink.iter().map(|point| nearest(point, &other));
-    let back = other.iter().map(|point| nearest(point, &ink));
-    one_way.chain(back).fold(0.0, f64::max)
+    let farthest_mm = |ink: &[InkStroke], lines: &[InkStroke]| {
+        let points = ink.iter().flat_map(|stroke| &stroke.points_mm);
+        points.fold(0.0, |most: f64, point| most.max(off_mm(point, lines)))
+    };
+    farthest_mm(ink, other).max(farthest_mm(other, ink))
 }
 
 #[test]
-fn after_a_frozen_feedback_the_next_drawing_comes_out_right() {
+pub(crate) fn after_a_frozen_feedback_the_next_drawing_comes_out_right() {
     let mut sound = Robot::idle();
     sound.draw(path());
     sound.run_until("the path is executed", |robot| {

@@ -55,7 +55,7 @@ fn at(robot: &Robot, t_ms: u64) -> IoValues {
 }
 
 #[test]
-fn an_input_and_an_output_are_in_the_sample_of_the_millisecond_in_which_they_change() {
+pub(crate) fn an_input_and_an_output_are_in_the_sample_of_the_millisecond_in_which_they_change() {
     // With one telegram for both directions the inputs are those of its way round, at the start of the millisecond, and an
     // output leaves with the next one.
     for (exchange, output_later) in [(ExchangeKind::Split, 0), (ExchangeKind::Combined, 1)] {
@@ -91,7 +91,7 @@ fn an_input_and_an_output_are_in_the_sample_of_the_millisecond_in_which_they_cha
 }
 
 #[test]
-fn a_terminal_that_is_lost_is_missing_in_the_samples_and_a_word_shows_whether_it_is_0() {
+pub(crate) fn a_terminal_that_is_lost_is_missing_in_the_samples_and_a_word_shows_whether_it_is_0() {
     let mut robot = robot(ExchangeKind::Split);
     robot.set_inputs(EL1008, 0b100);
     robot.run(100);

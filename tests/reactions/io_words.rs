@@ -78,7 +78,7 @@ fn value(io: &IoValues, point: usize) -> Option<i64> {
 }
 
 #[test]
-fn analogue_inputs_and_outputs_are_in_the_sample_of_the_millisecond_in_which_they_change() {
+pub(crate) fn analogue_inputs_and_outputs_are_in_the_sample_of_the_millisecond_in_which_they_change() {
     // With one telegram for both directions an output leaves with the next one.
     for (exchange, output_later) in [(ExchangeKind::Split, 0), (ExchangeKind::Combined, 1)] {
         let mut robot = robot(exchange);
@@ -139,7 +139,7 @@ fn analogue_inputs_and_outputs_are_in_the_sample_of_the_millisecond_in_which_the
 }
 
 #[test]
-fn words_of_a_terminal_that_is_lost_have_no_value_and_are_back_with_it() {
+pub(crate) fn words_of_a_terminal_that_is_lost_have_no_value_and_are_back_with_it() {
     let mut robot = robot(ExchangeKind::Split);
     set_inputs(&mut robot, -1_234, 0xFEDC);
     robot.run(100);

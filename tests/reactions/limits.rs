@@ -66,7 +66,7 @@ fn drawing(config: &Config) -> Robot {
 }
 
 #[test]
-fn a_limit_switch_that_opens_while_drawing_stops_the_motors_and_names_its_axis() {
+pub(crate) fn a_limit_switch_that_opens_while_drawing_stops_the_motors_and_names_its_axis() {
     for speed_mm_s in [20.0, 200.0] {
         for (bit, io, axis) in [(1, 2, 0), (3, 4, 1)] {
             let config = corexy(speed_mm_s);
@@ -106,7 +106,7 @@ fn a_limit_switch_that_opens_while_drawing_stops_the_motors_and_names_its_axis()
 }
 
 #[test]
-fn a_terminal_of_limit_switches_that_fails_is_a_fault() {
+pub(crate) fn a_terminal_of_limit_switches_that_fails_is_a_fault() {
     let mut robot = drawing(&corexy(200.0));
     robot.inject(CellFault::Power(TERMINAL, 800));
     assert_described_standstill(&mut robot, |fault| {
@@ -122,7 +122,7 @@ fn a_terminal_of_limit_switches_that_fails_is_a_fault() {
 }
 
 #[test]
-fn homing_takes_no_notice_of_limit_switches_and_motion_after_it_does() {
+pub(crate) fn homing_takes_no_notice_of_limit_switches_and_motion_after_it_does() {
     let mut config = MACHINES[1].load().unwrap();
     config.io.push(limit("x_end", 3, 0)).unwrap();
     let mut robot = Robot::of(&config, CellOptions::default());
@@ -143,7 +143,7 @@ fn homing_takes_no_notice_of_limit_switches_and_motion_after_it_does() {
 }
 
 #[test]
-fn a_limit_switch_without_an_axis_of_the_machine_is_refused() {
+pub(crate) fn a_limit_switch_without_an_axis_of_the_machine_is_refused() {
     let mut config = corexy(200.0);
     config.io[3].axis = Some(2);
     assert_eq!(config.check_io(), Err(IoError::LimitAxis { io: 3, axes: 2 }));

@@ -47,7 +47,7 @@ fn assert_refused(robot: &mut Robot, command: Command, at_rad: f64) {
 }
 
 #[test]
-fn a_joint_pushed_to_the_other_side_is_told_and_the_robot_works_again_once_it_is_pushed_back() {
+pub(crate) fn a_joint_pushed_to_the_other_side_is_told_and_the_robot_works_again_once_it_is_pushed_back() {
     let index = MACHINES.iter().position(|machine| machine.name == "scara").unwrap();
     let (config, centre_mm, length_mm) = machine(index, 250.0);
     let path = line(&config, centre_mm, length_mm);

@@ -76,7 +76,7 @@ fn failures(robot: &Robot) -> u32 {
 }
 
 #[test]
-fn a_stop_that_leaves_its_path_is_a_quick_stop_that_names_the_axis_and_the_part_of_the_envelope() {
+pub(crate) fn a_stop_that_leaves_its_path_is_a_quick_stop_that_names_the_axis_and_the_part_of_the_envelope() {
     for trouble in &TROUBLES {
         let what = trouble.what;
         let mut config = configured(AxisMode::Velocity, trouble.speed_mm_s);
@@ -116,7 +116,7 @@ fn a_stop_that_leaves_its_path_is_a_quick_stop_that_names_the_axis_and_the_part_
 }
 
 #[test]
-fn a_stop_that_keeps_its_path_is_not_counted_as_one_that_left_it() {
+pub(crate) fn a_stop_that_keeps_its_path_is_not_counted_as_one_that_left_it() {
     for speed_mm_s in [20.0, 500.0] {
         let config = configured(AxisMode::Velocity, speed_mm_s);
         let mut robot = Robot::idle_with(&config);
