@@ -57,7 +57,9 @@ again! {
         a_stop_sends_safe_outputs_first_and_ends_in_init,
         requests_while_the_bus_is_brought_up_are_answered_by_busy,
         error_counters_name_the_slaves_at_both_ends_of_a_cable,
-        a_slave_without_a_driver_gets_the_sync_managers_that_it_describes_and_goes_to_op;
+        a_slave_without_a_driver_gets_the_sync_managers_that_it_describes_and_goes_to_op,
+        error_counters_read_again_and_again_postpone_no_bring_up_and_work_on_a_slave_does,
+        drives_that_requests_put_in_op_on_a_failed_bus_are_no_bus_in_operation_and_are_shut_down_at_the_next_start;
     disturbances [crate::disturbances]
         an_unused_slave_with_an_error_keeps_no_drive_from_operation,
         a_terminal_that_falls_during_the_bring_up_is_named_alone_and_comes_back,

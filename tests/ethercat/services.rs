@@ -2,6 +2,8 @@
 
 use crate::device_images::eight;
 use crate::rig::{Rig, idle_rig, idle_rig_of, rig};
+use etherpen::control::robot_axes::{AxisCommand, Demand};
+use etherpen::drives::cia402::DriveTarget;
 use etherpen::ethercat::diagnostics::{ServiceError, ServiceReply, ServiceRequest, SlaveInfo};
 use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::state::{AlReport, AlState};
@@ -359,5 +361,120 @@ pub(crate) fn a_slave_without_a_driver_gets_the_sync_managers_that_it_describes_
             assert_eq!((after.report, after.output_bytes), (in_state(target), 1));
         }
         assert_eq!(rig.cell.outputs(AXES + 1), Some(vec![0]), "they are exchanged, and off");
+    }
+}
+
+/// A bus whose bring-up has just failed because a drive refused a state once: the next one is due in some seconds.
+fn failed(state: cell::AlState) -> Rig<'static> {
+    const DRIVE: usize = 3;
+    // May pass: the drive has lost its synchronisation.
+    const CODE: u16 = 0x001A;
+    let mut rig = idle_rig("");
+    rig.cell.inject(Fault::Refuse(DRIVE, state, CODE));
+    rig.start();
+    rig.wait_for(5_000, |event| {
+        matches!(
+            event,
+            BusEvent::Refused {
+                error: BusError::State { code: CODE, .. },
+                ..
+            }
+        )
+    });
+    rig
+}
+
+/// Time from a failed bring-up to the bus in operation while a request is sent every 200 ms; `None` after 20 s.
+fn operational_beside(request: Option<&ServiceRequest>) -> Option<u64> {
+    let mut rig = failed(cell::AlState::SafeOperational);
+    for now_ms in 0..20_000_u64 {
+        if let Some(request) = request.filter(|_| now_ms.is_multiple_of(200)) {
+            assert!(rig.services.enqueue(request.clone()).is_ok());
+        }
+        if rig.millisecond().contains(&BusEvent::Operational) {
+            return Some(now_ms);
+        }
+        while let Some(answer) = rig.answers.dequeue() {
+            assert!(matches!(answer, Ok(_) | Err(ServiceError::Busy)), "{answer:?}");
+        }
+    }
+    None
+}
+
+#[test]
+pub(crate) fn error_counters_read_again_and_again_postpone_no_bring_up_and_work_on_a_slave_does() {
+    let undisturbed_ms = operational_beside(None).expect("unasked");
+    // A request in progress is finished first.
+    const LATER_MS: u64 = 20;
+    for slave in 0..AXES as u8 {
+        let beside_ms = operational_beside(Some(&ServiceRequest::Errors { slave })).expect("unasked");
+        assert!(
+            (undisturbed_ms..=undisturbed_ms + LATER_MS).contains(&beside_ms),
+            "{beside_ms} ms instead of {undisturbed_ms} ms"
+        );
+    }
+    let registers = ServiceRequest::Registers {
+        slave: 0,
+        address: register::TYPE,
+        length: 2,
+    };
+    assert_eq!(operational_beside(Some(&registers)), None);
+}
+
+#[test]
+pub(crate) fn drives_that_requests_put_in_op_on_a_failed_bus_are_no_bus_in_operation_and_are_shut_down_at_the_next_start()
+ {
+    for state in [
+        cell::AlState::PreOperational,
+        cell::AlState::SafeOperational,
+        cell::AlState::Operational,
+    ] {
+        let mut rig = failed(state);
+        for slave in 0..AXES as u8 {
+            let answer = rig.ask(set_state(slave, AlState::Operational));
+            assert_eq!(
+                answer,
+                Ok(ServiceReply::State(in_state(AlState::Operational))),
+                "{state:?}"
+            );
+        }
+        rig.command = AxisCommand {
+            target: DriveTarget::Enabled,
+            demand: Demand::Velocity(0.5),
+        };
+        rig.run_ms(1_000);
+        assert_eq!(al_states(&rig), [cell::AlState::Operational; AXES]);
+        let drives = |rig: &Rig<'_>| -> Vec<cell::DriveState> {
+            rig.cell.state().slaves.iter().map(|slave| slave.drive).collect()
+        };
+        // A bring-up that got as far as OP was shut down: its drives are nobody's axes any more, and take no commands.
+        let expected = match state {
+            cell::AlState::Operational => cell::DriveState::SwitchOnDisabled,
+            _ => cell::DriveState::OperationEnabled,
+        };
+        assert_eq!(drives(&rig), [expected; AXES], "{state:?}");
+        assert!(!rig.log.contains(&BusEvent::Operational), "{state:?}: {:#?}", rig.log);
+        rig.start();
+        let mut before = drives(&rig);
+        let mut left = [false; AXES];
+        while !left.iter().all(|left| *left) {
+            rig.millisecond();
+            assert!(!rig.log.contains(&BusEvent::Operational), "{state:?}");
+            for (drive, al_state) in al_states(&rig).into_iter().enumerate() {
+                if al_state != cell::AlState::Operational && !left[drive] {
+                    left[drive] = true;
+                    // Its power was taken by its control word, not by the loss of its process data.
+                    assert_eq!(
+                        before[drive],
+                        cell::DriveState::SwitchOnDisabled,
+                        "drive {drive}, {state:?}"
+                    );
+                }
+            }
+            before = drives(&rig);
+        }
+        rig.command = AxisCommand::default();
+        rig.operational();
+        assert_eq!(al_states(&rig), [cell::AlState::Operational; AXES]);
     }
 }
