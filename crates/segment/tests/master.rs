@@ -248,7 +248,7 @@ fn slaves_from_files_of_their_memories_reach_op_and_exchange_what_commands_set_a
         let mut members = Vec::new();
         for place in 1..=8 {
             let any = |count: u64, random: &mut Random| (random.bits() % count) as usize;
-            let member = if random.bits() % 2 == 0 {
+            let member = if random.bits().is_multiple_of(2) {
                 let (kind, inputs, outputs) = kinds[any(5, &mut random)];
                 let path = folder.write(&format!("{seed}-{place}.bin"), &dumped(kind));
                 from_file(&path, place, inputs, outputs)
