@@ -1,12 +1,14 @@
 //! Slaves from files of information memories, under the project's own master.
 
-use core::pin::pin;
+use core::future::Future;
+use core::pin::Pin;
 use core::task::{Context, Waker};
 use etherpen_ethercat::BusQueues;
 use etherpen_ethercat::configure::Direction;
 use etherpen_ethercat::cyclic::{Exchange, ExchangeKind};
 use etherpen_ethercat::event::{BusCommand, BusEvent, BusSetup};
 use etherpen_ethercat::no_drivers::NoDrivers;
+use etherpen_ethercat::place::Place;
 use etherpen_ethercat::slave_set::SlaveSet;
 use etherpen_ethercat::supervisor::Supervisor;
 use etherpen_ethercat::wire::sii::checksum;
@@ -14,6 +16,7 @@ use etherpen_segment::control::{Command, Inputs, Names};
 use etherpen_segment::random::Random;
 use etherpen_segment::rig::{APWR, Rig};
 use etherpen_segment::{AlState, Flywheel, Segment, SegmentOptions, SlaveList};
+use heapless::spsc::Consumer;
 use std::io::Write as _;
 use std::path::{Path, PathBuf};
 
@@ -102,126 +105,157 @@ struct Member {
     outputs: usize,
 }
 
-/// Brings the slaves to OP, sets inputs and gets outputs by commands, and compares both with what the master exchanges.
-fn exchange_by_commands(members: &[Member], kind: ExchangeKind, random: &mut Random) {
-    let words: Vec<&str> = members.iter().map(|member| member.word.as_str()).collect();
-    let list: SlaveList = words.join(",").parse().expect("a list");
-    let names = Names::new(&list);
-    let options = SegmentOptions {
-        slaves: list.slaves.clone(),
-        places: list.places.clone(),
-        ..SegmentOptions::default()
-    };
-    let mut segment = Segment::new(&options, Flywheel::default());
-    let mut queues = Box::new(BusQueues::<NoDrivers, 16, 1024>::new());
-    let (exchange_end, supervisor_end, mut application) = queues.split();
-    let mut exchange = Exchange::new(exchange_end, MAC);
-    let mut supervisor = Supervisor::new(supervisor_end);
-    let mut master = pin!(supervisor.run());
-    let setup = BusSetup {
-        terminals: SlaveSet::ALL,
-        exchange: kind,
-        watchdog_ms: 100,
-        ..BusSetup::default()
-    };
-    assert!(application.commands.enqueue(BusCommand::Start(setup)).is_ok());
-    let (mut now_us, mut log) = (0, Vec::new());
-    let mut cycle = |exchange: &mut Exchange<'_, NoDrivers, 16, 1024>, segment: &mut Segment<Flywheel>| {
-        for (telegram, at_us) in [
-            (exchange.input_telegram().to_vec(), 0),
-            (exchange.output_telegram().to_vec(), 250),
-        ] {
+/// A master without drivers on a segment, in virtual time.
+struct Bench {
+    names: Names,
+    segment: Segment<Flywheel>,
+    exchange: Exchange<'static, NoDrivers, 16, 1024>,
+    supervisor: Pin<Box<dyn Future<Output = ()>>>,
+    events: Consumer<'static, BusEvent>,
+    now_us: u64,
+}
+
+impl Bench {
+    /// A master that is told to bring these slaves to OP.
+    fn start(list: &str, kind: ExchangeKind) -> Self {
+        let list: SlaveList = list.parse().expect("a list");
+        let options = SegmentOptions {
+            slaves: list.slaves.clone(),
+            places: list.places.clone(),
+            ..SegmentOptions::default()
+        };
+        let queues = Box::leak(Box::new(BusQueues::<NoDrivers, 16, 1024>::new()));
+        let (exchange_end, supervisor_end, mut application) = queues.split();
+        let setup = BusSetup {
+            terminals: SlaveSet::ALL,
+            exchange: kind,
+            watchdog_ms: 100,
+            ..BusSetup::default()
+        };
+        assert!(application.commands.enqueue(BusCommand::Start(setup)).is_ok());
+        Self {
+            names: Names::new(&list),
+            segment: Segment::new(&options, Flywheel::default()),
+            exchange: Exchange::new(exchange_end, MAC),
+            supervisor: Box::pin(async move {
+                let mut supervisor = Supervisor::new(supervisor_end);
+                supervisor.run().await
+            }),
+            events: application.events,
+            now_us: 0,
+        }
+    }
+
+    /// One cycle; returns whether the bus has come up in it.
+    fn cycle(&mut self) -> bool {
+        for (after_control, at_us) in [(false, 0), (true, 250)] {
+            let telegram = match after_control {
+                false => self.exchange.input_telegram().to_vec(),
+                true => self.exchange.output_telegram().to_vec(),
+            };
             if !telegram.is_empty() {
-                for reply in segment.frame(now_us + at_us, &telegram) {
-                    exchange.receive(&reply);
+                for reply in self.segment.frame(self.now_us + at_us, &telegram) {
+                    self.exchange.receive(&reply);
                 }
             }
         }
-        now_us += 1_000;
-        assert!(
-            master
-                .as_mut()
-                .poll(&mut Context::from_waker(Waker::noop()))
-                .is_pending()
-        );
-        while let Some(event) = application.events.dequeue() {
-            log.push(event);
+        self.now_us += 1_000;
+        let poll = self.supervisor.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+        assert!(poll.is_pending());
+        core::iter::from_fn(|| self.events.dequeue()).any(|event| event == BusEvent::Operational)
+    }
+
+    fn operational(&mut self) {
+        for cycles in 0.. {
+            assert!(cycles < BRING_UP_MAX, "not in operation");
+            if self.cycle() {
+                break;
+            }
         }
-        log.contains(&BusEvent::Operational)
-    };
-    let mut cycles = 0;
-    while !cycle(&mut exchange, &mut segment) {
-        cycles += 1;
-        assert!(cycles < BRING_UP_MAX, "{words:?} is not in operation");
+        for _ in 0..20 {
+            self.cycle();
+        }
     }
-    for _ in 0..20 {
-        cycle(&mut exchange, &mut segment);
+
+    /// Sets inputs as a line at the prompt does.
+    fn set(&mut self, slave: usize, inputs: &[u8]) {
+        let digits: String = inputs.iter().map(|byte| format!("{byte:02x}")).collect();
+        let line = format!("set n{slave} {digits}");
+        match self.names.command(&line).expect("a command") {
+            Some(Command::Set {
+                slave,
+                inputs: Inputs::Bytes(inputs),
+            }) => self.segment.set_inputs(slave, &inputs),
+            other => panic!("{line}: {other:?}"),
+        }
     }
-    for (slave, word) in segment.slaves().iter().zip(&words) {
+
+    /// Gets outputs as a line at the prompt does.
+    fn get(&self, slave: usize) -> Option<Vec<u8>> {
+        match self.names.command(&format!("get n{slave}")).expect("a command") {
+            Some(Command::Get { slave, bits: None }) => self.segment.outputs(slave),
+            other => panic!("{other:?}"),
+        }
+    }
+
+    /// A byte of process data as the master has it, of which the slave may have fewer bits than eight.
+    fn place(&self, number: usize, direction: Direction, at: usize, bits: usize) -> Place<u8> {
+        let here = (bits - 8 * at).min(8) as u8;
+        let place = self.exchange.bits(number, direction, 8 * at as u16, here);
+        place.unwrap_or_else(|| panic!("no byte {at} of slave {number} in {direction:?}"))
+    }
+}
+
+/// Random bytes with this many bits.
+fn any_bits(bits: usize, random: &mut Random) -> Vec<u8> {
+    let mut bytes: Vec<u8> = (0..bits.div_ceil(8)).map(|_| random.bits() as u8).collect();
+    if let (Some(last), used @ 1..) = (bytes.last_mut(), bits % 8) {
+        *last &= (1 << used) - 1;
+    }
+    bytes
+}
+
+/// Brings the slaves to OP, sets inputs and gets outputs by commands, and compares both with what the master exchanges.
+fn exchange_by_commands(members: &[Member], kind: ExchangeKind, random: &mut Random) {
+    let words: Vec<&str> = members.iter().map(|member| member.word.as_str()).collect();
+    let mut bench = Bench::start(&words.join(","), kind);
+    bench.operational();
+    for (slave, word) in bench.segment.slaves().iter().zip(&words) {
         assert_eq!(slave.al_state, AlState::Operational, "{word} of {words:?}");
     }
-    let errors = exchange.counters().working_counter_errors;
-    let bytes = |bits: usize| bits.div_ceil(8);
-    let masked = |mut value: Vec<u8>, bits: usize| {
-        if let (Some(last), used @ 1..) = (value.last_mut(), bits % 8) {
-            *last &= (1 << used) - 1;
-        }
-        value
-    };
+    let errors = bench.exchange.counters().working_counter_errors;
     for round in 0..8 {
-        let any =
-            |length: usize, random: &mut Random| -> Vec<u8> { (0..length).map(|_| random.bits() as u8).collect() };
         let mut expected = Vec::new();
         for (number, member) in members.iter().enumerate() {
-            let (inputs, outputs) = (
-                masked(any(bytes(member.inputs), random), member.inputs),
-                masked(any(bytes(member.outputs), random), member.outputs),
-            );
+            let (inputs, outputs) = (any_bits(member.inputs, random), any_bits(member.outputs, random));
             if member.inputs > 0 {
-                let digits: String = inputs.iter().map(|byte| format!("{byte:02x}")).collect();
-                // As it comes from the prompt; the name of a slave is its place.
-                let line = format!("set n{} {digits}", number + 1);
-                let command = names.command(&line).expect("a command");
-                let Some(Command::Set {
-                    slave,
-                    inputs: Inputs::Bytes(set),
-                }) = command
-                else {
-                    panic!("{line}: {command:?}");
-                };
-                segment.set_inputs(slave, &set);
+                bench.set(number + 1, &inputs);
             }
             for (at, byte) in outputs.iter().enumerate() {
-                let bits = (member.outputs - 8 * at).min(8) as u8;
-                let place = exchange
-                    .bits::<u8>(number, Direction::Outputs, 8 * at as u16, bits)
-                    .expect("outputs");
-                assert!(exchange.set(&place, *byte));
+                let place = bench.place(number, Direction::Outputs, at, member.outputs);
+                assert!(bench.exchange.set(&place, *byte));
             }
             expected.push((inputs, outputs));
         }
         for _ in 0..THROUGH {
-            cycle(&mut exchange, &mut segment);
+            bench.cycle();
         }
         for (number, (member, (inputs, outputs))) in members.iter().zip(expected).enumerate() {
             let what = format!("{}, round {round}", member.word);
             for (at, byte) in inputs.iter().enumerate() {
-                let bits = (member.inputs - 8 * at).min(8) as u8;
-                let place = exchange
-                    .bits::<u8>(number, Direction::Inputs, 8 * at as u16, bits)
-                    .expect("inputs");
-                assert_eq!(exchange.get(&place), Some(*byte), "byte {at} of the inputs of {what}");
+                let place = bench.place(number, Direction::Inputs, at, member.inputs);
+                assert_eq!(
+                    bench.exchange.get(&place),
+                    Some(*byte),
+                    "byte {at} of the inputs of {what}"
+                );
             }
             if member.outputs > 0 {
-                let command = names.command(&format!("get n{}", number + 1)).expect("a command");
-                let Some(Command::Get { slave, bits: None }) = command else {
-                    panic!("{command:?}");
-                };
-                assert_eq!(segment.outputs(slave), Some(outputs), "outputs of {what}");
+                assert_eq!(bench.get(number + 1), Some(outputs), "outputs of {what}");
             }
         }
     }
-    assert_eq!(exchange.counters().working_counter_errors, errors, "{words:?}");
+    assert_eq!(bench.exchange.counters().working_counter_errors, errors, "{words:?}");
 }
 
 /// A slave from a file, named after its place.
