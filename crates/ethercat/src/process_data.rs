@@ -2,7 +2,7 @@
 //!
 //! Invariant: the shares of two slaves never overlap.
 
-use crate::acyclic::{AcyclicPort, REGISTER_BYTES_MAX, Request};
+use crate::acyclic::{AcyclicPort, Request};
 use crate::configure::discovery::write_managers;
 use crate::configure::own_data::OwnData;
 use crate::configure::{Direction, SYNC_MANAGER_OUTPUTS};
@@ -11,7 +11,7 @@ use crate::driver::{ProcessData, Role, SlaveFactory};
 use crate::error::BusError;
 use crate::slave::Slave;
 use crate::wire::register::{self, FMMU_LEN, FmmuRepr, SYNC_MANAGER_LEN, SyncManagerRepr};
-use crate::wire::{Address, Command, read_u8};
+use crate::wire::{Address, Command};
 use core::ops::Range;
 
 /// Start of the slaves' process data in the logical memory. Each slave has [`SPAN_BYTES_MAX`] bytes: its inputs, and
@@ -49,37 +49,9 @@ pub fn cyclic_slave<F: SlaveFactory>(slave: &Slave<F>) -> CyclicSlave<F> {
 }
 
 /// A slave's share of the logical memory, whether it has process data or not.
-fn share<F: SlaveFactory>(slave: &Slave<F>) -> Range<u32> {
+pub fn share<F: SlaveFactory>(slave: &Slave<F>) -> Range<u32> {
     let start = LOGICAL_START + u32::from(slave.position) * SPAN_BYTES_MAX as u32;
     start..start + SPAN_BYTES_MAX as u32
-}
-
-/// Whether a slave maps its memory into the logical memory outside its share: another master has set its FMMUs.
-///
-/// # Errors
-/// As [`AcyclicPort::send_until_counted`].
-pub async fn maps_elsewhere<F: SlaveFactory, const MESSAGE: usize>(
-    port: &mut AcyclicPort<'_, MESSAGE>,
-    slave: &Slave<F>,
-) -> Result<bool, BusError> {
-    const TOGETHER: u8 = (REGISTER_BYTES_MAX / FMMU_LEN) as u8;
-    let (station, own) = (slave.station(), share(slave));
-    let is_elsewhere = |mapping: &FmmuRepr| {
-        let end = mapping.logical_start.saturating_add(mapping.length.into());
-        mapping.active && (mapping.logical_start < own.start || end > own.end)
-    };
-    let count = read_u8(&port.read(station, register::FMMU_COUNT, 1).await?, 0).min(register::UNITS_MAX);
-    for first in (0..count).step_by(TOGETHER.into()) {
-        let length = usize::from(TOGETHER.min(count - first)) * FMMU_LEN;
-        let blocks = port.read(station, register::fmmu(first), length).await?;
-        let mut mappings = blocks
-            .chunks_exact(FMMU_LEN)
-            .filter_map(|block| FmmuRepr::parse(block).ok());
-        if mappings.any(|mapping| is_elsewhere(&mapping)) {
-            return Ok(true);
-        }
-    }
-    Ok(false)
 }
 
 /// Sets up process-data sync managers, FMMUs and watchdogs, in PREOP.

@@ -8,9 +8,10 @@
 use crate::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
 use crate::error::BusError;
 use crate::state::{AlState, INIT_TIMEOUT_MS};
-use crate::wire::register::{self, FMMU_LEN, SYNC_MANAGER_LEN, SyncManagerRepr};
+use crate::wire::register::{self, FMMU_LEN, FmmuRepr, SYNC_MANAGER_LEN, SyncManagerRepr};
 use crate::wire::sii::{FixedPart, MailboxWindow};
 use crate::wire::{Address, Command, read_u8, read_u16};
+use core::ops::Range;
 use heapless::Vec;
 
 /// Station address of the first slave; the others follow in chain order.
@@ -61,8 +62,8 @@ pub async fn reset_all<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>
     Ok(())
 }
 
-/// Clears some FMMUs and sync managers of all slaves. One by one: a controller may take no write that reaches beyond one of
-/// them, or beyond the last that it has.
+/// Clears some FMMUs and sync managers of all slaves. One by one: a controller may take no write that reaches beyond the last
+/// one that it has.
 async fn clear_units<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, first: u8) -> Result<(), BusError> {
     let write = |register, data: &[u8]| Request::write(Command::Bwr, Address::broadcast(register), data);
     let units = (first..first + CLEARED).flat_map(|unit| {
@@ -231,12 +232,67 @@ pub async fn clear_fmmus<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
 ) -> Result<(), BusError> {
-    let fmmus = port.read(station, register::FMMU_COUNT, 1).await?;
-    clear_kind(port, station, register::FMMU, FMMU_LEN, read_u8(&fmmus, 0)).await
+    let fmmus = fmmus(port, station).await?;
+    clear_kind(port, station, register::FMMU, FMMU_LEN, fmmus).await
 }
 
-/// Clears the units of one kind, from their first register on, each with a number of bytes. A controller that says that it has
-/// none may have some.
+/// Whether a slave maps its memory into the logical memory outside its share: another master has set its FMMUs. Units that
+/// cannot be read count as free.
+///
+/// # Errors
+/// As [`AcyclicPort::answered`].
+pub async fn maps_outside<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    share: Range<u32>,
+) -> Result<bool, BusError> {
+    let is_outside = |block: &[u8]| {
+        FmmuRepr::parse(block).is_ok_and(|mapping| {
+            let end = mapping.logical_start.saturating_add(mapping.length.into());
+            mapping.active && (mapping.logical_start < share.start || end > share.end)
+        })
+    };
+    let request = |first: u8, units: u8| {
+        let address = Address::station(station, register::fmmu(first));
+        Request::read(Command::Fprd, address, usize::from(units) * FMMU_LEN)
+    };
+    let count = units(fmmus(port, station).await?);
+    for first in (0..count).step_by(CLEARED.into()) {
+        let together = CLEARED.min(count - first);
+        let (blocks, counter) = port.answered(&request(first, together)).await?;
+        if counter == 1 {
+            if blocks.chunks_exact(FMMU_LEN).any(is_outside) {
+                return Ok(true);
+            }
+            continue;
+        }
+        for unit in first..first + together {
+            let (block, counter) = port.answered(&request(unit, 1)).await?;
+            if counter == 1 && is_outside(&block) {
+                return Ok(true);
+            }
+        }
+    }
+    Ok(false)
+}
+
+/// Number of FMMUs that a controller says that it has. Two slaves with one address answer too.
+async fn fmmus<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, station: u16) -> Result<u8, BusError> {
+    let address = Address::station(station, register::FMMU_COUNT);
+    let (count, _) = port.answered(&Request::read(Command::Fprd, address, 1)).await?;
+    Ok(read_u8(&count, 0))
+}
+
+/// Number of units that are looked at: a controller that says that it has none may have some.
+const fn units(count: u8) -> u8 {
+    match count {
+        0 => CLEARED,
+        1..=register::UNITS_MAX => count,
+        _ => register::UNITS_MAX,
+    }
+}
+
+/// Clears the units of one kind, from their first register on, each with a number of bytes.
 async fn clear_kind<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
@@ -245,11 +301,7 @@ async fn clear_kind<const MESSAGE: usize>(
     count: u8,
 ) -> Result<(), BusError> {
     const BLANK: [u8; CLEARED as usize * FMMU_LEN] = [0; CLEARED as usize * FMMU_LEN];
-    let count = if count == 0 {
-        CLEARED
-    } else {
-        count.min(register::UNITS_MAX)
-    };
+    let count = units(count);
     let request = |first: u8, units: u8| {
         let address = Address::station(station, register + u16::from(first) * length as u16);
         let data = BLANK.get(..usize::from(units) * length).unwrap_or_default();

@@ -22,7 +22,7 @@ use super::super::state::{self, AlReport, AlState};
 use super::super::wire::sii::PROTOCOL_COE;
 use super::super::wire::{Address, Command, register, sii};
 use super::Failure;
-use super::bus::Bus;
+use super::bus::{Bus, PLAN_MS};
 
 /// Longest wait for the expected number of slaves, ms.
 pub const DISCOVERY_TIMEOUT_MS: u32 = 3_000;
@@ -97,8 +97,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         Ok(())
     }
 
-    /// Exchanges inputs and outputs apart from now on if they travel together, but a slave that has just been found does not
-    /// support LRW.
+    /// Exchanges inputs and outputs apart from now on if they travel together, but a slave that is about to be configured does
+    /// not support LRW.
     pub(super) async fn adapt_exchange(&mut self, number: usize) -> Result<(), BusError> {
         let Some(station) = self.slaves.get(number).map(Slave::station) else {
             return Ok(());
@@ -110,6 +110,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let flags = information::general_flags(&mut self.port, station).await?;
         if features & register::FEATURE_NO_LRW != 0 || flags & sii::FLAG_NO_LRW != 0 {
             self.exchange = ExchangeKind::Split;
+            // No telegram of before reaches its mapping.
+            self.send_plan().await;
+            self.port.wait_ms(PLAN_MS).await;
         }
         Ok(())
     }

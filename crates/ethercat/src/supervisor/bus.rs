@@ -5,6 +5,7 @@
 
 use super::super::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
 use super::super::clock::{self, BusClocks};
+use super::super::configure::discovery;
 use super::super::cyclic::{CyclicPlan, CyclicSlave, ExchangeKind, PlanError, ReferenceClock, VALUES_MAX, ValueBit};
 use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
@@ -23,7 +24,7 @@ use heapless::spsc::Producer;
 /// Longest wait for the application to take an event, ms.
 const EVENT_TIMEOUT_MS: u32 = 50;
 /// How long it takes at most until a plan is in force, ms.
-const PLAN_MS: u32 = 3;
+pub(super) const PLAN_MS: u32 = 3;
 /// Slaves inspected in one frame.
 pub(super) const LOOK_MAX: usize = IN_FLIGHT_MAX;
 
@@ -482,8 +483,11 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         for first in (numbers.start..last).step_by(LOOK_MAX) {
             let reports = self.reports(first..last.min(first + LOOK_MAX)).await;
             for (number, report) in (first..).zip(reports) {
+                let mut report = report;
                 let is_back = self.is_lost(number) && report.is_some();
-                if is_back && goes_on {
+                if is_back && self.disown(number).await {
+                    report = None;
+                } else if is_back && goes_on {
                     // The time of the others has gone on without it.
                     self.clocks.was_off(number);
                 }
@@ -497,6 +501,23 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             self.send_plan().await;
             self.tell_delays().await;
         }
+    }
+
+    /// Takes the address from a slave that comes back with the mapping of another master, and the mapping: it disturbs the
+    /// exchange, and may be any slave that has the address. It is a stranger from then on. Returns whether it was one.
+    async fn disown(&mut self, number: usize) -> bool {
+        let Some(slave) = self.slaves.get(number) else {
+            return false;
+        };
+        let (station, share) = (slave.station(), process_data::share(slave));
+        let is_foreign = discovery::maps_outside(&mut self.port, station, share).await;
+        is_foreign == Ok(true) && self.make_stranger(station).await.is_ok()
+    }
+
+    /// Takes mapping and address from the slave, or the slaves, that have a station address.
+    pub(super) async fn make_stranger(&mut self, station: u16) -> Result<(), BusError> {
+        discovery::clear_fmmus(&mut self.port, station).await?;
+        discovery::rename(&mut self.port, station, 0).await
     }
 
     fn is_lost(&self, number: usize) -> bool {

@@ -51,8 +51,9 @@ const INSPECTION_PAUSE_MS: u32 = 50;
 const LOOK_PERIOD_MS: u32 = 20;
 /// Shortest pause between two of them, ms.
 const LOOK_PAUSE_MS: u32 = SUSPICION_MS + 2;
-/// Time after which slaves behind a port that has been opened are counted, ms.
+/// Time in which a port that has been opened lets frames through, ms.
 const OPENED_MS: u32 = 2;
+const NS_PER_MS: u32 = 1_000_000;
 /// How often a repair is restarted after another slave has interrupted it.
 const REPAIR_TRIES_MAX: u8 = 3;
 /// How often a step of the bring-up is begun again after slaves have disturbed it that no member needs.
@@ -266,7 +267,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
 
     /// Queries all slaves for their state, and rescans the chain if their number has changed.
     async fn inspect_all(&mut self) {
-        if self.inbox.slaves() > self.bus.present() {
+        if self.inbox.slaves() > self.bus.present() && self.inbox.slaves() != self.slaves_sorted {
             // A slave that was plugged in with power may answer in another's place, by its alias.
             self.open_ports().await;
         }
@@ -285,14 +286,21 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             let expected = Expectation {
                 required: 0,
                 allowed: inbox::STATUS_MASK,
-                // What a new slave maps into the logical memory disturbs the others until it has been found.
+                ..expected
+            };
+            // What a new slave maps into the logical memory disturbs the others until it is cleared.
+            let disturbed = Expectation {
                 answering: SlaveSet::NONE,
                 ..expected
             };
-            let result = {
-                let work = pin!(bus.rescan());
-                inbox.guard(expected, Work::Background, work).await
+            let mut result = {
+                let work = pin!(bus.clear_strangers());
+                inbox.guard(disturbed, Work::Background, work).await
             };
+            if matches!(result, Ok(Ok(()))) {
+                let work = pin!(bus.rescan());
+                result = inbox.guard(expected, Work::Background, work).await;
+            }
             bus.clocks.hold(false);
             bus.send_plan().await;
             // A chain that has changed meanwhile is looked through again at the next suspicion; a slave that never
@@ -310,14 +318,16 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         self.inspected_ms = self.bus.port.now_ms();
     }
 
-    /// Opens the ports, and switches off the aliases, that another master has left otherwise in slaves that were plugged in with
-    /// power. Behind a port that opens may be another one.
+    /// Opens the ports that another master has closed in slaves that were plugged in with power, and switches off their aliases.
+    /// Behind a port that opens may be another one.
     async fn open_ports(&mut self) {
+        // The telegram of a later cycle has counted them.
+        let counted_ms = OPENED_MS + 2 * self.bus.setup.cycle_ns.div_ceil(NS_PER_MS);
         for _ in 0..SLAVES {
             let before = self.inbox.slaves();
             // What fails is done again at the next repair.
             let _ = discovery::open_ports(&mut self.bus.port).await;
-            self.bus.port.wait_ms(OPENED_MS).await;
+            self.bus.port.wait_ms(counted_ms).await;
             self.inbox.observe(&Expectation::ANYTHING);
             if self.inbox.slaves() <= before {
                 return;

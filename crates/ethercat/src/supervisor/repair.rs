@@ -15,7 +15,6 @@ use super::super::configure::{discovery, information};
 use super::super::driver::SlaveFactory;
 use super::super::error::{BusError, IdentityProperty};
 use super::super::event::Step;
-use super::super::process_data;
 use super::super::slave::{Condition, Slave};
 use super::super::slave_set::SlaveSet;
 use super::super::state::{self, AlReport, AlState};
@@ -44,34 +43,18 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         };
         let (station, at) = (slave.station(), |step| Failure::of(slave.position, step));
         let places = self.places().await.map_err(at(Step::Locate))?;
-        let is_found_anew = match places.iter().position(|there| *there == station) {
+        match places.iter().position(|there| *there == station) {
             Some(place) => {
                 self.is_in_order(&places, place, number).map_err(at(Step::Locate))?;
-                let is_known = !slave.is_refused_terminal();
-                let is_foreign = process_data::maps_elsewhere(&mut self.port, &slave)
-                    .await
-                    .map_err(at(Step::Locate))?;
-                if is_foreign {
-                    // At once: it disturbs the others, whose loss ends this repair.
-                    discovery::clear_fmmus(&mut self.port, station)
-                        .await
-                        .map_err(at(Step::Init))?;
-                } else if is_known && self.resume(number).await.is_ok() {
+                if slave.is_refused_terminal() {
+                    self.read_again(number).await.map_err(at(Step::Identify))?;
+                } else if self.resume(number).await.is_ok() {
                     return Ok(());
                 }
-                if !is_known {
-                    self.read_again(number).await.map_err(at(Step::Identify))?;
-                }
-                !is_known
             }
-            None => {
-                self.take_back(number, &places).await?;
-                true
-            }
-        };
-        if is_found_anew {
-            self.adapt_exchange(number).await.map_err(at(Step::Identify))?;
+            None => self.take_back(number, &places).await?,
         }
+        self.adapt_exchange(number).await.map_err(at(Step::Identify))?;
         if let Some(slave) = self.slaves.get_mut(number) {
             // The slave goes through INIT in any case.
             slave.report = Default::default();
@@ -97,10 +80,15 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         Ok(())
     }
 
-    /// The station addresses along the chain. Removes temporary ones, which interrupted work has left: two slaves with
-    /// the same one could not be told apart.
+    /// The station addresses along the chain. Removes temporary ones, which interrupted work has left, and those that two
+    /// slaves have: these could not be told apart.
     pub(super) async fn places(&mut self) -> Result<Places, BusError> {
         let mut places = self.settled_places().await?;
+        for _ in 0..SETTLED_TRIES_MAX {
+            let Some(station) = twice(&places) else { break };
+            self.make_stranger(station).await?;
+            places = self.settled_places().await?;
+        }
         if places.contains(&STATION_TEMPORARY) {
             self.name(0).await?;
         }
@@ -465,6 +453,14 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             None => Ok(()),
         }
     }
+}
+
+/// A station address that two places of a chain have.
+fn twice(places: &Places) -> Option<u16> {
+    let is_known = |station: &u16| *station != 0 && *station != STATION_TEMPORARY;
+    let mut addressed = places.iter().enumerate().filter(|(_, station)| is_known(station));
+    let again = addressed.find(|(place, station)| places.iter().skip(place + 1).any(|other| other == *station));
+    again.map(|(_, station)| *station)
 }
 
 /// Whether the slave at a place, and no other, has got the temporary address, and all others are where they were. Where

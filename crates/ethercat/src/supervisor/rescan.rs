@@ -6,8 +6,8 @@
 //! use is recognised at once. Every other slave is an extra one: it is identified, gets a number behind all others,
 //! wherever it was plugged in, and is never used.
 //!
-//! Invariant: the rescan changes no slave's state and gives no slave process data; what an unknown slave maps into the logical
-//! memory, it takes away.
+//! Invariant: the rescan requests no state and gives no slave process data. What an unknown slave maps into the logical memory
+//! is taken away before it is identified.
 
 use super::super::configure::discovery::{self, STATION_BASE, STATION_TEMPORARY};
 use super::super::driver::SlaveFactory;
@@ -43,6 +43,18 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         sorted
     }
 
+    /// Takes the mappings of another master from slaves that were plugged in with power, and have an address of that master:
+    /// they disturb the exchange.
+    pub(super) async fn clear_strangers(&mut self) -> Result<(), BusError> {
+        let places = self.places().await?;
+        for station in places.into_iter().filter(|station| *station != 0) {
+            if self.number_of(station).is_none() {
+                discovery::clear_fmmus(&mut self.port, station).await?;
+            }
+        }
+        Ok(())
+    }
+
     /// Looks at one place, and notes there the address that its slave has got; returns whether it is an extra one. `seen` are
     /// the slaves that were found again at places before.
     async fn sort(&mut self, place: usize, places: &mut Places, seen: &mut SlaveSet) -> Result<bool, BusError> {
@@ -51,8 +63,6 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return Ok(false);
         }
         self.mark(place as u16, places).await?;
-        // It may have been plugged in with power, and with the mapping of another master: this would disturb the exchange.
-        let _ = discovery::clear_fmmus(&mut self.port, STATION_TEMPORARY).await;
         let fixed = match self.read_marked().await {
             Ok(fixed) => fixed,
             // It is an unknown device, unless it has gone.
