@@ -10,6 +10,7 @@ use super::limits::Limits;
 use super::micro_interpolator::PathSample;
 use super::scan::Row;
 use super::shaping::Label;
+use crate::Pen;
 use crate::robots::Kinematics;
 use crate::robots::vector::{Vector, add_scaled, length, root, scale, subtract};
 
@@ -126,11 +127,15 @@ impl Straight {
         }
     }
 
-    /// Ends the move as soon as its acceleration limit allows.
+    /// Ends the move as soon as its acceleration limit allows. A pen that does not get down any more is up.
     pub(crate) fn brake(&mut self) {
         if self.braking.is_none() {
             let (place, speed) = self.state(self.elapsed_s);
             self.braking = Some((place, speed, 0.0));
+            let gets_there = self.length_mm - place <= 0.5 * speed * speed / self.acceleration + LENGTH_MIN_MM;
+            if !gets_there {
+                self.label.pen = Pen::Up;
+            }
         }
     }
 

@@ -276,6 +276,31 @@ fn moves_and_the_pen_keep_the_limits_and_unreachable_targets_are_refused() {
 }
 
 #[test]
+fn a_pen_whose_way_down_is_cancelled_is_up_unless_it_gets_there() {
+    let settings = Settings::default();
+    let mut got_there = [0; 2];
+    for periods in 0..40 {
+        let mut run = Run::new(&settings, &[vertex([0.0, 0.0, -800.0], Pen::Up, 0)]);
+        run.command(MotionCommand::Pen(Pen::Down));
+        for _ in 0..periods {
+            run.step();
+        }
+        if run.trajectory.state() == MotionState::Idle {
+            break;
+        }
+        run.command(MotionCommand::Cancel);
+        run.until(MotionState::Idle);
+        run.step();
+        let is_down = (run.end()[2] + 850.0).abs() < 1.0e-6;
+        got_there[usize::from(is_down)] += 1;
+        let pen = run.setpoints.last().unwrap().pen;
+        assert_eq!(pen == Pen::Down, is_down, "after {periods} periods, at {:?}", run.end());
+    }
+    println!("cancelled {got_there:?} times before and behind the beginning of the last ramp");
+    assert!(got_there[0] > 2);
+}
+
+#[test]
 fn the_pen_is_lowered_to_a_sheet_that_is_not_level_and_lifted_from_where_it_lies() {
     let mut settings = Settings::default();
     settings.paper.slope = [0.02, -0.01];
