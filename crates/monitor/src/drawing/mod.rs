@@ -52,6 +52,8 @@ struct Asked {
     at: Option<Vector>,
     /// Its vertices so far: place in the path, position in mm, whether the pen is down.
     path: Vec<(u32, Vector, bool)>,
+    /// What the pen has touched since: the answer may come later than the first ink, mm.
+    ink: Vec<[f64; 2]>,
 }
 
 /// The present drawing, and single orders.
@@ -156,6 +158,7 @@ impl Drawing {
             orders: 1,
             at: tool,
             path: Vec::new(),
+            ink: Vec::new(),
         });
     }
 
@@ -249,6 +252,7 @@ impl Drawing {
         self.grid.clear();
         self.long.clear();
         self.ink.clear();
+        asked.ink.iter().for_each(|[x, y]| self.ink.add(*x, *y));
         (self.vertices, self.limit, self.cursor) = (0, u32::MAX, 0);
         (self.is_too_much, self.was_disturbed, self.is_told) = (false, false, false);
         for (index, position_mm, pen_down) in asked.path {
@@ -409,7 +413,11 @@ impl Drawing {
 
     /// Adds the ink of this millisecond.
     pub(crate) fn add_ink(&mut self, tool: &Vector) {
-        self.ink.add(tool[0], tool[1]);
+        let [x, y, _] = *tool;
+        self.ink.add(x, y);
+        for asked in [&mut self.next, &mut self.replaced].into_iter().flatten() {
+            asked.ink.push([x, y]);
+        }
     }
 
     /// The first place of a leg with the pen down that has no ink within a distance, if more than a share of all places

@@ -130,6 +130,31 @@ fn a_leg_that_is_too_long_for_the_grid_is_a_leg() {
 }
 
 #[test]
+fn ink_from_before_the_answer_belongs_to_the_drawing_and_ink_from_before_the_order_does_not() {
+    let (cell, bounds) = (Cell::default(), Bounds::new(&Cell::default()));
+    let mut drawing = Drawing::new();
+    for x in [0.0, 1.0, 2.0] {
+        drawing.add_ink(&[x, 0.0, -850.0]);
+    }
+    drawing.take(&cell, &bounds, None, &Input::Commanded(Command::Draw { job: 1 }));
+    for (index, x, pen_down) in [(0, 0.0, false), (1, 4.0, true)] {
+        let vertex = Input::PathVertex {
+            job: 1,
+            index,
+            position_mm: [x, 0.0, -850.0],
+            pen_down,
+        };
+        drawing.take(&cell, &bounds, None, &vertex);
+    }
+    drawing.add_ink(&[3.0, 0.0, -850.0]);
+    drawing.add_ink(&[4.0, 0.0, -850.0]);
+    drawing.hear(&cell, &bounds, &Report::Accepted(Command::Draw { job: 1 }));
+    let missing = drawing.missing(0.5, 0.0).expect("what was drawn before the order");
+    assert!(missing[0] < 2.5, "{missing:?}");
+    assert_eq!(drawing.missing(3.1, 0.0), None);
+}
+
+#[test]
 fn ink_is_missing_where_there_is_none() {
     let (_, _, mut drawing) = drawing(&[([0.0, 0.0], false), ([10.0, 0.0], true)]);
     for step in 0..=20 {
