@@ -9,6 +9,7 @@ use etherpen::ethercat::cyclic::{ExchangeKind, Ignored};
 use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::supervisor::BusEvent;
 use etherpen::robots::AXES;
+use etherpen_segment::AlState;
 use host_tools::cell::Fault;
 
 #[test]
@@ -260,4 +261,31 @@ pub(crate) fn a_mailbox_that_stays_silent_is_a_refusal_and_a_second_try_succeeds
     rig.run_ms(500);
     rig.recover();
     rig.operational();
+}
+
+#[test]
+pub(crate) fn a_slave_that_falls_to_any_state_is_repaired_in_either_exchange() {
+    for exchange in [ExchangeKind::Split, ExchangeKind::Combined] {
+        let mut rig = idle_rig("");
+        rig.setup.exchange = exchange;
+        rig.start();
+        rig.operational();
+        for slave in 1..=AXES {
+            for state in [AlState::Init, AlState::PreOperational, AlState::SafeOperational] {
+                rig.cell.inject(Fault::Fall(slave, state, 0x001A));
+                rig.run_ms(100);
+                assert!(
+                    rig.inputs[slave - 1].is_none(),
+                    "{exchange:?}, slave {slave} in {state:?}"
+                );
+                rig.recover();
+                rig.wait_for(5_000, |event| *event == BusEvent::Operational);
+                rig.run_ms(20);
+                assert!(
+                    rig.inputs.iter().all(Option::is_some),
+                    "{exchange:?}, slave {slave} was in {state:?}"
+                );
+            }
+        }
+    }
 }

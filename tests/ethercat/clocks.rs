@@ -15,7 +15,8 @@ again! {
         a_power_cycled_slave_comes_back_without_a_reference,
         a_pulled_cable_is_reported_for_every_slave_behind_it_and_healed,
         a_bypassed_slave_is_reported_and_taken_back,
-        a_mailbox_that_stays_silent_is_a_refusal_and_a_second_try_succeeds;
+        a_mailbox_that_stays_silent_is_a_refusal_and_a_second_try_succeeds,
+        a_slave_that_falls_to_any_state_is_repaired_in_either_exchange;
     frame_faults [crate::frame_faults]
         a_few_disturbed_frames_at_any_stage_of_the_bring_up_delay_it_only,
         many_disturbed_frames_at_any_stage_of_the_bring_up_are_survived_or_refused_and_the_next_try_succeeds,

@@ -107,7 +107,11 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return Ok(());
         }
         let features = self.port.read_u16(station, register::FEATURES).await?;
-        let flags = information::general_flags(&mut self.port, station).await?;
+        // From SAFEOP on its processor has the memory.
+        information::take(&mut self.port, station).await;
+        let flags = information::general_flags(&mut self.port, station).await;
+        // One whose memory cannot be read may not support it.
+        let flags = flags.unwrap_or(sii::FLAG_NO_LRW);
         if features & register::FEATURE_NO_LRW != 0 || flags & sii::FLAG_NO_LRW != 0 {
             self.exchange = ExchangeKind::Split;
             // No telegram of before reaches its mapping.
