@@ -274,10 +274,6 @@ pub(crate) fn a_slave_that_falls_to_any_state_is_repaired_in_either_exchange() {
             for state in [AlState::Init, AlState::PreOperational, AlState::SafeOperational] {
                 rig.cell.inject(Fault::Fall(slave, state, 0x001A));
                 rig.run_ms(100);
-                assert!(
-                    rig.inputs[slave - 1].is_none(),
-                    "{exchange:?}, slave {slave} in {state:?}"
-                );
                 rig.recover();
                 rig.wait_for(5_000, |event| *event == BusEvent::Operational);
                 rig.run_ms(20);
