@@ -308,7 +308,8 @@ fn named_inputs_and_outputs_are_shown_with_their_values_and_as_missing_without_t
     browser.press("[data-inject='remove-7']");
     shows(browser, "lamp (output, lamp)", "missing");
     browser.until("!document.getElementById('bring-back').hidden");
-    browser.value("{ document.getElementById('bring-back').scrollIntoView({ block: 'center', behavior: 'instant' }); }");
+    browser
+        .value("{ document.getElementById('bring-back').scrollIntoView({ block: 'center', behavior: 'instant' }); }");
     browser.keep("24 missing terminals");
     browser.press("[data-inject='insert-6']");
     browser.press("[data-inject='insert-7']");

@@ -471,6 +471,19 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         Ok(())
     }
 
+    /// Whether values of a terminal are wanted in which no process data were found: its memory may have been damaged when it was
+    /// read. Its data are forgotten then.
+    pub(super) fn reads_again(&mut self, number: usize) -> bool {
+        let is_wanted = self
+            .setup
+            .values
+            .iter()
+            .any(|wanted| usize::from(wanted.slave) == number);
+        let slave = self.slaves.get_mut(number).filter(|slave| slave.is_terminal);
+        let empty = slave.filter(|slave| is_wanted && slave.own_data == Some(OwnData::default()));
+        empty.is_some_and(|slave| slave.own_data.take().is_some())
+    }
+
     /// Takes a slave in use from SAFEOP to OP, once its inputs arrive and outputs have been sent for a while. The plan
     /// with its process data has to be in force.
     pub(super) async fn reach_operational(&mut self, number: usize) -> Result<(), Failure> {

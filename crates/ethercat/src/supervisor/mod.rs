@@ -363,7 +363,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             let Some(slave) = self.bus.slaves.get(number).copied() else {
                 continue;
             };
-            if !slave.is_used() || slave.condition == Condition::Operational {
+            let is_well = slave.condition == Condition::Operational && !self.bus.reads_again(number);
+            if !slave.is_used() || is_well {
                 continue;
             }
             if transferring == Some(number) {

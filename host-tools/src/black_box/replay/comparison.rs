@@ -38,6 +38,10 @@ pub(super) struct Comparison<'a> {
     /// Whether no fault of before the recording can be latched.
     knows_fault: bool,
     was_latched: bool,
+    /// Whether all axes were homed in the last sample.
+    was_homed: bool,
+    /// Whether a search for the home switches has begun since: it counts from turns that no sample tells.
+    has_searched: bool,
     /// By how much the replay's angles are greater, rad: whole turns of motors that are not homed.
     turns_rad: [f64; AXES],
     /// Milliseconds since each axis's last position, or [`NEVER`].
@@ -59,6 +63,8 @@ impl<'a> Comparison<'a> {
             begins_without_power,
             knows_fault: begins_without_fault,
             was_latched: false,
+            was_homed: false,
+            has_searched: false,
             turns_rad: [0.0; AXES],
             blind_ms: [NEVER; AXES],
             seen_ms: [0; AXES],
@@ -85,10 +91,13 @@ impl<'a> Comparison<'a> {
                 _ => seen_ms.saturating_add(1),
             };
         }
+        let searches = self.config.has_home_switches() && now.following && now.homed != [true; AXES];
+        self.has_searched |= self.was_homed && searches;
         let is_new = self.knows_fault && !self.was_latched;
         let not_recorded = self.not_recorded(now, report);
         let differs = self.difference(index, now, report, is_new && now.fault);
         self.was_latched = report.fault.is_some();
+        self.was_homed = now.homed == [true; AXES];
         self.knows_fault |= !now.fault;
         match (not_recorded, differs) {
             _ if index < SETTLED_MS => Finding::Agreed { latched: None },
@@ -115,9 +124,14 @@ impl<'a> Comparison<'a> {
         // An axis loses its home to an implausible feedback, which is compared with the commands, even while another
         // axis has the fault; what the drives were commanded after a fault is not recorded.
         let is_latched = now.fault || report.fault.is_some();
+        // The event of an order comes after the sample that shows its effect.
+        let is_unwritten = now.before_end_s * 1e3 < f64::from(EVENT_MS);
         let differs = |axis: usize| now.homed[axis] != report.homed[axis];
-        if (0..AXES).any(|axis| differs(axis) && (is_latched || self.compares_since_before(axis))) {
+        if (0..AXES).any(|axis| differs(axis) && (is_latched || is_unwritten || self.compares_since_before(axis))) {
             return Some(fault);
+        }
+        if self.has_searched {
+            return Some(None);
         }
         if !self.knows_fault || now.fault == report.fault.is_some() {
             return None;
@@ -127,7 +141,7 @@ impl<'a> Comparison<'a> {
             Some(Fault::PathStopLeft(_)) if now.fault => true,
             Some(fault) => !is_replayed(&fault) || self.reaches_back(&fault),
             // Overwritten, or not written yet.
-            None => self.events.begin_after(now) || now.before_end_s * 1e3 < f64::from(EVENT_MS),
+            None => self.events.begin_after(now) || is_unwritten,
         };
         is_outside.then_some(fault)
     }

@@ -159,6 +159,12 @@ impl<'a, 'q> Player<'a, 'q> {
         self.configure_again(index, before, now);
         let ends = before.following && !now.following;
         let becomes_homed = before.homed != [true; AXES] && now.homed == [true; AXES];
+        let searches = self.config.has_home_switches();
+        let is_home = |command: &Command| match command {
+            // It begins a search, which the samples show.
+            Command::Home => !searches,
+            command => matches!(command, Command::HomeAt { .. }),
+        };
         // The sampler takes an order in the millisecond after it; what it shows may come later.
         let home = match ends || becomes_homed {
             true => self.events.accepted(recent_ms, EVENT_MS, is_home),
@@ -272,10 +278,6 @@ fn is_enable(command: &Command) -> bool {
 
 fn is_acknowledge(command: &Command) -> bool {
     *command == Command::Acknowledge
-}
-
-fn is_home(command: &Command) -> bool {
-    matches!(command, Command::Home | Command::HomeAt { .. })
 }
 
 /// The joint angles of a sample.
