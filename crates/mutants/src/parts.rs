@@ -100,8 +100,6 @@ pub(crate) const PARTS: &[Part] = &[
     Part {
         sources: &[
             "crates/drives/src/akd.rs",
-            "crates/drives/src/ax2000.rs",
-            "crates/drives/src/cia402.rs",
             "crates/drives/src/configuration.rs",
             "crates/drives/src/ethercat_group.rs",
             "crates/drives/src/factory.rs",
