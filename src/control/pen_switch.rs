@@ -59,8 +59,11 @@ impl PenSwitch {
     fn is_down(&self, setpoint: &Setpoint) -> bool {
         let (height_rad, climb_rad_s) = (setpoint.position_rad[HEIGHT], setpoint.velocity_rad_s[HEIGHT]);
         let lowers = climb_rad_s <= -STILL_RAD_S && height_rad <= self.lowers_rad;
-        let stands_low = self.is_on && climb_rad_s.abs() < STILL_RAD_S && height_rad < self.half_rad;
-        setpoint.pen == Pen::Down || lowers || stands_low
+        let is_low = height_rad < self.half_rad;
+        // A jog keeps the pen of the motion before it, wherever it leads.
+        let draws = setpoint.pen == Pen::Down && is_low;
+        let stands_low = self.is_on && climb_rad_s.abs() < STILL_RAD_S && is_low;
+        draws || lowers || stands_low
     }
 }
 
@@ -99,6 +102,10 @@ mod tests {
             (up_mm, -1.0, Pen::Up, false),
             (corner_mm, -1.0, Pen::Up, true),
             (up_mm - 0.9 * lift_mm, 0.0, Pen::Up, true),
+            (up_mm - lift_mm, 0.0, Pen::Down, true),
+            // A jog with the pen down, up and away.
+            (up_mm, 4.0, Pen::Down, false),
+            (up_mm + 4.0, 0.0, Pen::Down, false),
             (up_mm - lift_mm, 0.0, Pen::Down, true),
             (up_mm - lift_mm, 1.0, Pen::Up, false),
             // Low, but not lowered since.

@@ -117,7 +117,9 @@ impl Operator<'_> {
         true
     }
 
-    /// Puts the product back that the controller asks for: the drives may have been exchanged before it first saw them.
+    /// Puts the product back that the controller asks for: the drives may have been exchanged before it first saw them. Where
+    /// it asks for a drive in the place of a terminal, it first saw the chain without a slave, and is given the configuration
+    /// again.
     pub(super) fn put_right(&mut self) {
         let fault = self.status.as_ref().and_then(|status| status.fault);
         let Some(Reason::OtherProduct { slave, expected, .. }) = fault else {
@@ -125,6 +127,9 @@ impl Operator<'_> {
         };
         let product = PRODUCTS.iter().find(|(code, _)| *code == expected);
         if let Some((_, name)) = product.filter(|_| self.stage != Stage::Free) {
+            if self.chain.axis(usize::from(slave) + 1).is_none() {
+                return self.configure();
+            }
             self.inject(&format!("swap {} {name}", slave + 1));
             self.judge.healed();
         }
