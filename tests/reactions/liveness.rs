@@ -175,12 +175,12 @@ type Bounds = [i64; 2];
 
 /// They go on as if nothing had happened.
 const UNTOUCHED: Bounds = [DRIFT_MAX_NS, 0];
-/// A reference falls silent: the others follow its last time, at the speed of their loops, until another one is named.
-const SILENT_REFERENCE: Bounds = [CORRECTION_MAX_NS, 2_000_000];
+/// A reference falls silent: its time goes on by the master's cycles until another one is named.
+const CONTINUED_BY_CYCLES: Bounds = [2_000, 10_000];
 /// All are cut off at once: the master continues their time by its polls, and they follow at the speed of their loops.
 const CONTINUED_TIME: Bounds = [CORRECTION_MAX_NS, 2_000_000];
 /// The first one distributes their time again, by a measurement from before.
-const OLD_MEASUREMENT: Bounds = [5_000, 50_000];
+const OLD_MEASUREMENT: Bounds = [10_000, 50_000];
 
 /// Slaves that are away for ten seconds, and the clocks of the others.
 struct Absence {
@@ -212,7 +212,7 @@ const ABSENCES: [Absence; 3] = [
         faults: &[CellFault::Remove(1)],
         returns: Some(CellFault::Insert(1)),
         stay: &[2, 3, 4],
-        loss: SILENT_REFERENCE,
+        loss: CONTINUED_BY_CYCLES,
         repair: OLD_MEASUREMENT,
     },
 ];

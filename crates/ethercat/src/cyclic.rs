@@ -481,8 +481,9 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTH
         self.input_valid = taken.answers.answered;
         self.al = taken.al;
         self.clock_ns = taken.clock_ns;
-        if let Some(time_ns) = taken.clock_ns {
-            self.first.set_clock(time_ns);
+        match taken.clock_ns {
+            Some(time_ns) => self.first.set_clock(time_ns),
+            None => self.first.continue_clock(),
         }
         if !self.first.acyclic.is_empty() {
             self.answer_acyclic(opened.payload);

@@ -134,6 +134,50 @@ fn every_slaves_inputs_are_those_of_the_reply_whatever_their_lengths_and_order()
 }
 
 #[test]
+fn the_time_of_a_reference_that_does_not_answer_goes_on_by_the_last_cycle() {
+    const STEP_NS: u64 = 1_000_192;
+    let mut random = Random::new(31);
+    let mut seen = 0;
+    for number in 0..PLANS / 8 {
+        let mut plan = plan(&mut random);
+        let Some(clock) = plan.clock.as_mut() else { continue };
+        clock.is_spread = true;
+        let length = if clock.wide { 8 } else { 4 };
+        let mask = u64::MAX >> (64 - 8 * length);
+        let (end, mut supervisor, _) = Box::leak(Box::new(BusQueues::<NoDrivers, SLAVES, 64>::new())).split();
+        assert!(supervisor.plans.enqueue(plan).is_ok());
+        let mut exchange = Exchange::new(end, MAC);
+        let begun_ns = u64::from(random.next()) << 20 | u64::from(random.next());
+        for (cycle, answers) in [true, true, true, false, false, true, false].into_iter().enumerate() {
+            let sent = exchange.input_telegram().to_vec();
+            let clock = places(&sent).last().expect("the clock's datagram").clone();
+            let data = clock.end - 2 - length..clock.end - 2;
+            let mut carried = [0; 8];
+            carried[..length].copy_from_slice(&sent[data.clone()]);
+            let now_ns = begun_ns.wrapping_add(STEP_NS * cycle as u64);
+            // Two answers tell how long a cycle is.
+            if cycle >= 2 {
+                assert_eq!(
+                    u64::from_le_bytes(carried),
+                    now_ns & mask,
+                    "plan {number}, cycle {cycle}"
+                );
+            }
+            let mut reply = sent.clone();
+            answered(&mut reply, &mut random);
+            let time_ns = if answers { now_ns.to_le_bytes() } else { carried };
+            reply[data].copy_from_slice(&time_ns[..length]);
+            // The others have been written what was sent.
+            reply[clock.end - 2] = if answers { 5 } else { 4 };
+            assert_eq!(exchange.receive(&reply), Arrival::Input, "plan {number}");
+            assert_eq!(exchange.clock_ns().is_some(), answers, "plan {number}");
+            seen += 1;
+        }
+    }
+    assert!(seen > 100);
+}
+
+#[test]
 fn a_changed_bit_of_any_header_is_noticed_and_one_wrong_counter_costs_one_slaves_inputs() {
     let seed = 29;
     let mut random = Random::new(seed);

@@ -153,6 +153,8 @@ struct Common {
     wide_time: u16,
     /// Expected working counter of the clock's datagram.
     clock_slaves: u16,
+    /// Time between the last two answers of the reference clock, 256 ns; 0 if it is not known.
+    clock_step: u16,
 }
 
 impl Common {
@@ -164,11 +166,14 @@ impl Common {
         narrow_clock: NOWHERE,
         wide_time: NOWHERE,
         clock_slaves: 0,
+        clock_step: 0,
     };
 }
 
 /// A place beyond every frame.
 const NOWHERE: u16 = u16::MAX;
+/// Bits of a nanosecond count that a step leaves out.
+const STEP_SHIFT: u32 = 8;
 
 /// One acyclic datagram of the present transmission.
 #[derive(Clone, Copy, Debug)]
@@ -512,23 +517,73 @@ impl<const SLAVES: usize, M: Places> Telegram<SLAVES, M> {
         self.frame.0.get_mut(start..start + length)
     }
 
-    /// Sets the time of the next transmission's clock datagram, ns; the reference clock replaces it by its own.
+    /// Takes the reference's time, ns. The next transmission's clock datagram carries the time that the reference will have then,
+    /// as far as two answers tell: the reference replaces it by its own, unless it is gone.
     #[inline(always)]
     pub(super) fn set_clock(&mut self, time_ns: u64) {
-        match chunk_mut(&mut self.frame.0, self.common.wide_time.into()) {
-            Some(bytes) => *bytes = time_ns.to_le_bytes(),
+        let common = &mut self.common;
+        match chunk_mut(&mut self.frame.0, common.wide_time.into()) {
+            Some(bytes) => {
+                let before_ns = u64::from_le_bytes(*bytes).wrapping_sub(step_ns(common.clock_step).into());
+                common.clock_step = step(time_ns.wrapping_sub(before_ns));
+                *bytes = time_ns.wrapping_add(step_ns(common.clock_step).into()).to_le_bytes();
+            }
             None => self.set_narrow_clock(time_ns as u32),
         }
+    }
+
+    /// Lets the time go on that the clock's datagram carries, where the reference has not answered: it is written to the other
+    /// slaves until another reference is named.
+    #[inline(always)]
+    pub(super) fn continue_clock(&mut self) {
+        if self.common.clock_step != 0 {
+            self.advance_clock();
+        }
+    }
+
+    #[cold]
+    #[inline(never)]
+    fn advance_clock(&mut self) {
+        let step_ns = step_ns(self.common.clock_step);
+        if let Some(bytes) = chunk_mut(&mut self.frame.0, self.common.wide_time.into()) {
+            *bytes = u64::from_le_bytes(*bytes).wrapping_add(step_ns.into()).to_le_bytes();
+            return;
+        }
+        let place = self.narrow_time();
+        if let Some(bytes) = chunk_mut(&mut self.frame.0, place) {
+            *bytes = u32::from_le_bytes(*bytes).wrapping_add(step_ns).to_le_bytes();
+        }
+    }
+
+    /// Place of the time of a clock of 32 bits in the frame.
+    fn narrow_time(&self) -> usize {
+        self.start() + usize::from(self.common.narrow_clock) + DATAGRAM_HEADER_LEN
     }
 
     /// Sets the low half of the time for clocks of 32 bits.
     #[inline(never)]
     fn set_narrow_clock(&mut self, time_ns: u32) {
-        let place = self.start() + usize::from(self.common.narrow_clock) + DATAGRAM_HEADER_LEN;
+        let place = self.narrow_time();
         if let Some(bytes) = chunk_mut(&mut self.frame.0, place) {
-            *bytes = time_ns.to_le_bytes();
+            let common = &mut self.common;
+            let before_ns = u32::from_le_bytes(*bytes).wrapping_sub(step_ns(common.clock_step));
+            common.clock_step = step(time_ns.wrapping_sub(before_ns).into());
+            *bytes = time_ns.wrapping_add(step_ns(common.clock_step)).to_le_bytes();
         }
     }
+}
+
+/// The time of a cycle, 256 ns, from that between two answers of the reference clock, ns; 0 if it is longer than any.
+#[inline(always)]
+const fn step(passed_ns: u64) -> u16 {
+    let step = passed_ns >> STEP_SHIFT;
+    if step <= u16::MAX as u64 { step as u16 } else { 0 }
+}
+
+/// The time of a step, ns.
+#[inline(always)]
+const fn step_ns(step: u16) -> u32 {
+    (step as u32) << STEP_SHIFT
 }
 
 /// The `N` bytes from a place on, to be written; `None` if they are not all there.

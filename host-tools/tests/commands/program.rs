@@ -13,6 +13,8 @@ use std::time::{Duration, Instant};
 pub(crate) const PATIENCE: Duration = Duration::from_secs(180);
 /// Time between two checks of a condition.
 const LOOK: Duration = Duration::from_millis(10);
+/// Longest wait for the rest of what an ended program has printed.
+const REST: Duration = Duration::from_secs(10);
 
 /// The short drawing.
 pub(crate) fn strokes() -> PathBuf {
@@ -147,11 +149,25 @@ impl Running {
         self.end_within(PATIENCE)
     }
 
+    /// Reads the last of what an ended program has printed, unless a child of it keeps the pipes.
+    fn read_the_rest(&self) {
+        let ended = Instant::now();
+        let are_read = || {
+            [&self.stdout, &self.stderr]
+                .iter()
+                .all(|text| Arc::strong_count(text) == 1)
+        };
+        while !are_read() && ended.elapsed() < REST {
+            std::thread::sleep(LOOK);
+        }
+    }
+
     /// Waits for the end of a program that may take longer than [`PATIENCE`].
     pub(crate) fn end_within(&mut self, patience: Duration) -> ExitStatus {
         let begun = Instant::now();
         loop {
             if let Some(status) = self.child.try_wait().expect("a child can be asked") {
+                self.read_the_rest();
                 return status;
             }
             assert!(begun.elapsed() < patience, "the program did not end; {}", self.stderr());
@@ -168,6 +184,7 @@ impl Drop for Running {
     }
 }
 
+/// Collects what a program prints; the text has one owner once the pipe has ended.
 fn collect(pipe: impl Read + Send + 'static) -> Arc<Mutex<String>> {
     let text = Arc::new(Mutex::new(String::new()));
     let shared = text.clone();
