@@ -167,8 +167,6 @@ fn differences_ns(robot: &mut Robot) -> Vec<i32> {
 /// Most that a clock gains or loses in a millisecond of true time while nothing corrects it, ns: it drifts by 30 ppm, and one
 /// that is cut off keeps as much as it has learnt.
 const DRIFT_MAX_NS: i64 = 60;
-/// Most that the control loop of a clock corrects in a millisecond, ns, and its drift.
-const CORRECTION_MAX_NS: i64 = 101_100;
 
 /// How far clocks may leave true time besides their drift, ns: in a millisecond, and altogether.
 type Bounds = [i64; 2];
@@ -177,10 +175,8 @@ type Bounds = [i64; 2];
 const UNTOUCHED: Bounds = [DRIFT_MAX_NS, 0];
 /// A reference falls silent: its time goes on by the master's cycles until another one is named.
 const CONTINUED_BY_CYCLES: Bounds = [2_000, 10_000];
-/// All are cut off at once: the master continues their time by its polls, and they follow at the speed of their loops.
-const CONTINUED_TIME: Bounds = [CORRECTION_MAX_NS, 2_000_000];
-/// The first one distributes their time again, by a measurement from before.
-const OLD_MEASUREMENT: Bounds = [10_000, 50_000];
+/// The first one is set to their time by a measurement, and distributes it again.
+const SET_AGAIN: Bounds = [200, 2_000];
 
 /// Slaves that are away for ten seconds, and the clocks of the others.
 struct Absence {
@@ -206,14 +202,14 @@ const ABSENCES: [Absence; 3] = [
         returns: None,
         stay: &[2, 3, 4],
         loss: UNTOUCHED,
-        repair: CONTINUED_TIME,
+        repair: SET_AGAIN,
     },
     Absence {
         faults: &[CellFault::Remove(1)],
         returns: Some(CellFault::Insert(1)),
         stay: &[2, 3, 4],
         loss: CONTINUED_BY_CYCLES,
-        repair: OLD_MEASUREMENT,
+        repair: SET_AGAIN,
     },
 ];
 
