@@ -1,5 +1,6 @@
 //! What the operator decides from the reports that the line has carried.
 
+use super::super::chance::Chance;
 use super::super::episode::{Figure, Wish};
 use super::super::ink;
 use super::{Operator, Stage, test_figure};
@@ -28,6 +29,8 @@ const PATIENCE_MAX_MS: u32 = 8_000;
 const ACKNOWLEDGED_MAX: u32 = 3;
 /// Drives that can be put in the place of another one: product code, and the name in the script of faults.
 const PRODUCTS: [(u32, &str); 2] = [(0x07D0_6014, "ax2000"), (0x0402, "cia402")];
+/// How far from the middle of the sheet detours lead, sides of the sheet.
+const DETOUR_SHEETS: f64 = 2.0;
 /// Pause between two decisions once everything is healed, ms.
 const HEALED_PATIENCE_MS: u32 = 100;
 
@@ -93,6 +96,7 @@ impl Operator<'_> {
             Mode::Unreferenced => self.say(Command::Disable),
             Mode::Idle if self.judge.asks_for_homing() => self.say(Command::Disable),
             Mode::Idle if is_free => self.wish(),
+            Mode::Idle if std::mem::take(&mut self.detours.1) => self.go_round(),
             Mode::Idle => self.draw_test(),
             Mode::Drawing | Mode::Holding if self.ack.job != self.job || self.is_stuck() => self.say(Command::Cancel),
             Mode::Holding => self.say(Command::Resume),
@@ -246,6 +250,24 @@ impl Operator<'_> {
         let inked = self.world.look(|cell, _| ink::points(cell.ink()));
         self.stage = Stage::Testing { since_ms, inked };
         self.draw(&test_figure(&self.config.paper));
+    }
+
+    /// Moves to another place, because the straight way to the drawing leads through a part that the robot cannot reach: to
+    /// the corners of the sheet first, then to places by chance.
+    fn go_round(&mut self) {
+        let (paper, tried) = (&self.config.paper, self.detours.0);
+        self.detours.0 += 1;
+        let mut chance = Chance::new(self.episode.seed ^ tried);
+        let side = |right: bool| if right { 0.5 } else { -0.5 };
+        let part = match tried {
+            0..4 => [side(tried & 1 != 0), side(tried & 2 != 0)],
+            _ => [(); 2].map(|()| chance.between(-DETOUR_SHEETS, DETOUR_SHEETS)),
+        };
+        let [x_mm, y_mm] = [0, 1].map(|axis| paper.centre_mm[axis] + part[axis] * paper.size_mm[axis]);
+        let z_mm = paper.pen_down_z_mm + paper.pen_lift_mm;
+        self.say(Command::Move {
+            position: Position { x_mm, y_mm, z_mm },
+        });
     }
 
     pub(super) fn repeat_jog(&mut self) {

@@ -97,6 +97,8 @@ pub(super) struct Operator<'e> {
     drawing: Arc<[PathVertex]>,
     status: Option<Status>,
     ack: PathAck,
+    /// Places tried after the straight way to the test drawing was refused, and whether the next one is to be tried.
+    detours: (u64, bool),
     /// Executed vertices when the drawing last advanced, and the time.
     advanced: (u32, u32),
     swapped: Vec<usize>,
@@ -150,6 +152,7 @@ impl<'e> Operator<'e> {
             drawing: Arc::default(),
             status: None,
             ack: PathAck::default(),
+            detours: (0, false),
             advanced: (0, 0),
             swapped: Vec::new(),
             recabled: Vec::new(),
@@ -312,6 +315,8 @@ impl<'e> Operator<'e> {
                         }))
                     )
                 );
+                self.detours.1 |=
+                    self.stage != Stage::Free && matches!(command, Command::Move { .. }) && result.is_err();
                 self.judge.answered(&command, result.is_ok());
             }
             LinkEvent::Ack(ack) => {
@@ -320,7 +325,10 @@ impl<'e> Operator<'e> {
                 }
                 self.ack = ack;
             }
-            LinkEvent::VertexRefused(refusal) => self.judge.refused_vertex(self.job, refusal.index),
+            LinkEvent::VertexRefused(refusal) => {
+                self.detours.1 |= self.stage != Stage::Free;
+                self.judge.refused_vertex(self.job, refusal.index);
+            }
             LinkEvent::Status(status) => {
                 self.judge.reported(&status);
                 self.status = Some(status);
