@@ -6,6 +6,7 @@ use super::BusQueues;
 use super::acyclic::{IN_FLIGHT_MAX, Outcome, Request};
 use super::cyclic::{
     AlStatus, Arrival, CyclicPlan, CyclicSlave, Exchange, ExchangeKind, Ignored, PROCESS_BYTES_MAX, SILENT_CYCLES,
+    SPAN_BYTES_MAX,
 };
 use super::no_drivers::NoDrivers;
 use super::process_data::LOGICAL_START;
@@ -475,14 +476,16 @@ fn outputs_of_a_terminal_are_unconfirmed_from_its_first_plan_on_until_no_plan_na
 #[test]
 fn a_slave_without_room_in_the_frame_costs_no_other_its_inputs() {
     const MANY: usize = 24;
-    // 76 bytes each for the first ones, of which 19 have room; 14 bytes for the last one.
+    // Of the first ones, with 12 bytes more than their data each, so many have room; the last one has 14 bytes in all.
+    const WITH_ROOM: usize = if PROCESS_BYTES_MAX == 32 { 19 } else { 6 };
+    const STEP: u32 = SPAN_BYTES_MAX as u32;
     let slaves = (0..MANY as u32).map(|number| {
         let length = if number as usize == MANY - 1 {
             1
         } else {
             PROCESS_BYTES_MAX as u16
         };
-        let start = LOGICAL_START + 64 * number;
+        let start = LOGICAL_START + STEP * number;
         CyclicSlave {
             input_address: start,
             input_length: length,
@@ -505,7 +508,7 @@ fn a_slave_without_room_in_the_frame_costs_no_other_its_inputs() {
     let mut places = Vec::new();
     each_datagram(&mut reply, |_, datagram| {
         if datagram.command_number() == Command::Lrw as u8 {
-            let place = (datagram.address().0 - LOGICAL_START) / 64;
+            let place = (datagram.address().0 - LOGICAL_START) / STEP;
             places.push(place as usize);
             datagram.data_mut().fill(place as u8);
             datagram.set_working_counter(3);
@@ -513,7 +516,7 @@ fn a_slave_without_room_in_the_frame_costs_no_other_its_inputs() {
     });
     reply[6] |= SOURCE_BIT;
     assert_eq!(exchange.receive(&reply), Arrival::Input);
-    let expected: Vec<usize> = (0..19).chain([MANY - 1]).collect();
+    let expected: Vec<usize> = (0..WITH_ROOM).chain([MANY - 1]).collect();
     assert_eq!(places, expected);
     for place in 0..MANY {
         let length = if place == MANY - 1 { 1 } else { PROCESS_BYTES_MAX };

@@ -12,8 +12,8 @@ use super::slave_set::SlaveSet;
 use super::wire::{Address, Command, DATAGRAM_OVERHEAD, FRAME_LEN_MAX};
 use heapless::Vec;
 
-/// Most process data of one slave in one direction, bytes.
-pub const PROCESS_BYTES_MAX: usize = 32;
+/// Most process data of one slave in one direction, bytes: 32, or 112 with the feature `long-process-data`.
+pub const PROCESS_BYTES_MAX: usize = if cfg!(feature = "long-process-data") { 112 } else { 32 };
 /// Longest stretch of logical memory that inputs and outputs of one slave may take together, bytes.
 pub const SPAN_BYTES_MAX: usize = 2 * PROCESS_BYTES_MAX;
 /// Bytes of the longest encapsulation: Ethernet, IPv4, UDP and EtherCAT headers.
@@ -430,17 +430,20 @@ mod tests {
     fn shares_that_are_too_long_or_too_far_apart_are_refused() {
         let error = PlanError::ProcessData {
             slave: 0,
-            expected: 32,
-            actual: 33,
+            expected: PROCESS_BYTES_MAX as u16,
+            actual: PROCESS_BYTES_MAX as u16 + 1,
         };
-        assert_eq!(plan(1, 33, ExchangeKind::Split, 0).check(1), Err(error));
+        assert_eq!(
+            plan(1, PROCESS_BYTES_MAX as u16 + 1, ExchangeKind::Split, 0).check(1),
+            Err(error)
+        );
         let mut apart = plan(2, 8, ExchangeKind::Split, 0);
         apart.slaves[1].input_address = 0;
         assert_eq!(apart.check(1), Ok(()));
         apart.exchange = ExchangeKind::Combined;
         let error = PlanError::Span {
             slave: 1,
-            expected: 64,
+            expected: SPAN_BYTES_MAX as u32,
             actual: 0x1000 + 64 + 16,
         };
         assert_eq!(apart.check(1), Err(error));

@@ -5,7 +5,7 @@ use core::pin::Pin;
 use core::task::{Context, Waker};
 use etherpen_ethercat::BusQueues;
 use etherpen_ethercat::configure::Direction;
-use etherpen_ethercat::cyclic::{Exchange, ExchangeKind};
+use etherpen_ethercat::cyclic::{Exchange, ExchangeKind, PROCESS_BYTES_MAX};
 use etherpen_ethercat::event::{BusCommand, BusEvent, BusSetup};
 use etherpen_ethercat::no_drivers::NoDrivers;
 use etherpen_ethercat::place::Place;
@@ -294,6 +294,27 @@ fn slaves_from_files_of_their_memories_reach_op_and_exchange_what_commands_set_a
             };
             members.push(member);
         }
+        let kind = [ExchangeKind::Split, ExchangeKind::Combined][(seed % 2) as usize];
+        exchange_by_commands(&members, kind, &mut random);
+    }
+}
+
+#[test]
+fn process_data_of_any_length_that_a_slave_may_have_are_exchanged() {
+    let folder = Folder::new("lengths");
+    for seed in 0..12 {
+        let mut random = Random::new(seed);
+        let mut length = || match random.bits() % 3 {
+            0 => PROCESS_BYTES_MAX,
+            _ => (random.bits() as usize) % (PROCESS_BYTES_MAX + 1),
+        };
+        let members: Vec<Member> = (1..=4)
+            .map(|place| {
+                let (outputs, inputs) = (length(), length().max(1));
+                let path = folder.write(&format!("{seed}-{place}.bin"), &generated(outputs as u8, inputs as u8));
+                from_file(&path, place, 8 * inputs, 8 * outputs)
+            })
+            .collect();
         let kind = [ExchangeKind::Split, ExchangeKind::Combined][(seed % 2) as usize];
         exchange_by_commands(&members, kind, &mut random);
     }

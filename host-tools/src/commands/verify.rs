@@ -52,8 +52,23 @@ const PROGRAMS: Step = (
     ],
 );
 /// The output of these is shown when they have ended.
-const LIBRARIES: [Step; 3] = [
+const LIBRARIES: [Step; 4] = [
     ("tests of libraries", &["test", "--workspace", "--lib", "--bins"]),
+    (
+        "tests of a master for long process data",
+        &[
+            "test",
+            "-p",
+            "etherpen-ethercat",
+            "-p",
+            "etherpen-segment",
+            "--features",
+            "etherpen-ethercat/long-process-data",
+            "--lib",
+            "--test",
+            "master",
+        ],
+    ),
     ("examples of the documentation", &["test", "--workspace", "--doc"]),
     (
         "tests of the command line",
