@@ -126,8 +126,8 @@ impl fmt::Display for Score {
 
 /// The document.
 #[must_use]
-pub fn document(results: &Results, reasons: &[Reason]) -> String {
-    let mut text = heading(results, Score::of(&results.mutants, reasons));
+pub fn document(results: &Results, reasons: &[Reason], state: &str) -> String {
+    let mut text = heading(results, Score::of(&results.mutants, reasons), state);
     let is = |mutant: &Mutant, title: &str| match &mutant.outcome {
         Some(Outcome::Survived) => title == "Survivors",
         Some(Outcome::Found(_)) => title == "Found",
@@ -159,7 +159,7 @@ diagnoses, and the drivers of the boards. Boundaries of floating-point numbers s
 for one number of 2^64. Mutants that do not compile are replaced by the next ones of the seed.
 ";
 
-fn heading(results: &Results, score: Score) -> String {
+fn heading(results: &Results, score: Score, state: &str) -> String {
     let count = |is_it: &dyn Fn(&Mutant) -> bool| results.mutants.iter().filter(|mutant| is_it(mutant)).count();
     let by_campaign = count(&|mutant| match &mutant.outcome {
         Some(Outcome::Found(finding)) => finding.judge.starts_with("campaign"),
@@ -181,8 +181,8 @@ fn heading(results: &Results, score: Score) -> String {
          environment variable turns one of them on. The tests of its part look at it first, the quickest first, then one robot\n\
          hour of [campaign](campaign.md). A test that fails and a seed that breaks a rule find the mutant. So does a judge that\n\
          crashes, or takes 20 s more than five times its time without a mutant; it must pass without the mutant right after that.\n\n\
-         Outcomes are valid for the files they were made with. Once a file that git does not ignore has changed, other than this one\n\
-         and the reasons of survivors, every mutant is judged again.\n\n\
+         The outcomes are those of {state}. They are valid for the files they were made with. Once a file\n\
+         that git does not ignore has changed, other than this one and the reasons of survivors, every mutant is judged again.\n\n\
          An equivalent mutant does what the original does: no test can find it.\n\n\
          | seed | mutants | found | by tests | by campaigns | missed | equivalent | not judged to the end |\n\
          |---|---|---|---|---|---|---|---|\n\
@@ -256,7 +256,7 @@ mod tests {
         ];
         let listed = "[[survivor]]\nfile = 'src/a.rs'\nfunction = 'A::f'\nchange = '`b2 || c` left out'\n\
                       equivalent = true\nreason = 'equal'\n";
-        let text = document(&results, &reasons(listed).unwrap());
+        let text = document(&results, &reasons(listed).unwrap(), "commit `abc`");
         for line in [
             "| 9 | 3 | 1 | 1 | 0 | 0 | 1 | 1 |",
             "| 1 | `src/a.rs`: `A::f` | condition dropped | `b1 \\|\\| c` left out | src: tests::one, 0.2 |",
@@ -267,12 +267,12 @@ mod tests {
         }
         let first = "# Mutants\n\nNot finished: 1 of 3 mutants are not judged to the end. Judged: 1 found, 0 missed, 1 equivalent.\n";
         assert!(text.starts_with(first), "{text}");
-        let without = document(&results, &[]);
+        let without = document(&results, &[], "commit `abc`");
         assert!(without.contains("| no reason known |"));
         results.mutants.truncate(2);
         let first =
             "# Mutants\n\nFinished: all 2 mutants are judged to the end. Judged: 1 found, 1 missed, 0 equivalent.\n";
-        assert!(document(&results, &[]).starts_with(first));
+        assert!(document(&results, &[], "commit `abc`").starts_with(first));
     }
 
     #[test]

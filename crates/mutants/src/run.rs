@@ -188,7 +188,7 @@ fn finish(root: &Path, options: &Options, results: &Results) -> Result<bool, Str
     let score = Score::of(&results.mutants, &reasons);
     eprintln!("seed {}: {score}", results.seed);
     if let Some(document) = &options.report {
-        let text = report::document(results, &reasons);
+        let text = report::document(results, &reasons, &sources::state(root, &[REASONS, DOCUMENT])?);
         std::fs::write(document, text).map_err(|error| format!("{}: {error}", document.display()))?;
     }
     Ok(score.is_enough())

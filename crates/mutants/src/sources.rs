@@ -16,6 +16,35 @@ pub(crate) struct Sources {
     pub sites: Vec<Site>,
 }
 
+/// The state of the sources in words: the last commit, and whether something has changed since. `left_out` are paths from the
+/// root that do not matter.
+///
+/// # Errors
+/// `git` cannot tell.
+pub(crate) fn state(root: &Path, left_out: &[&str]) -> Result<String, String> {
+    let ask = |arguments: &[&str]| {
+        let output = Command::new("git").args(arguments).current_dir(root).output();
+        let output = output.map_err(|error| format!("git: {error}"))?;
+        let text = String::from_utf8_lossy(&output.stdout).trim().to_owned();
+        match output.status.success() {
+            true => Ok(text),
+            false => Err(format!(
+                "git {arguments:?}: {}",
+                String::from_utf8_lossy(&output.stderr).trim()
+            )),
+        }
+    };
+    let commit = ask(&["rev-parse", "--short=12", "HEAD"])?;
+    let others: Vec<String> = left_out.iter().map(|path| format!(":!{path}")).collect();
+    let mut status = vec!["status", "--porcelain", "--", "."];
+    status.extend(others.iter().map(String::as_str));
+    let changes = match ask(&status)?.is_empty() {
+        true => "",
+        false => " with changes that are not committed",
+    };
+    Ok(format!("commit `{commit}`{changes}"))
+}
+
 /// Paths of the files that git does not ignore, from the root.
 ///
 /// # Errors
