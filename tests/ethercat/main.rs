@@ -14,6 +14,7 @@ mod files;
 mod frame_faults;
 mod homing;
 mod odd_controllers;
+mod other_masters;
 mod own_driver;
 mod real_chain;
 mod rig;

@@ -1,4 +1,4 @@
-//! Slave controllers with less than others, or with what another master has left in them.
+//! Slave controllers with less than others, or with units that another master has left in them.
 
 use crate::bench;
 use crate::device_images::{terminal_of_bytes, without_lrw};
@@ -12,18 +12,18 @@ use etherpen_segment::random::Random;
 use etherpen_segment::{AlState, Fault, PlaceOptions, SegmentOptions, SlaveKind};
 
 /// Cycles until a value has gone through the exchange in either direction.
-const THROUGH: u32 = 3;
+pub(crate) const THROUGH: u32 = 3;
 /// Longest time until a lost or returned slave is noticed, ms.
-const NOTICED_MS: u64 = 200;
+pub(crate) const NOTICED_MS: u64 = 200;
 const NO_LRW: PlaceOptions = PlaceOptions {
     ignores_lrw: true,
     ..DEFAULT
 };
-const PAIRS: PlaceOptions = PlaceOptions {
+pub(crate) const PAIRS: PlaceOptions = PlaceOptions {
     takes_pairs: true,
     ..DEFAULT
 };
-const DEFAULT: PlaceOptions = PlaceOptions {
+pub(crate) const DEFAULT: PlaceOptions = PlaceOptions {
     alias: 0,
     serial: None,
     identification: None,
@@ -42,11 +42,11 @@ const DEFAULT: PlaceOptions = PlaceOptions {
     },
 };
 
-type Bench = bench::Bench<16, 0>;
+pub(crate) type Bench = bench::Bench<16, 0>;
 
 /// A slave of a chain: its kind, what is set on it, and the bits of its inputs and outputs.
 #[derive(Clone, Debug)]
-struct Member {
+pub(crate) struct Member {
     kind: SlaveKind,
     place: PlaceOptions,
     inputs: u8,
@@ -54,7 +54,7 @@ struct Member {
 }
 
 impl Member {
-    fn new(kind: SlaveKind, inputs: u8, outputs: u8) -> Self {
+    pub(crate) fn new(kind: SlaveKind, inputs: u8, outputs: u8) -> Self {
         let place = DEFAULT;
         Self {
             kind,
@@ -64,24 +64,24 @@ impl Member {
         }
     }
 
-    fn coupler() -> Self {
+    pub(crate) fn coupler() -> Self {
         Self::new(SlaveKind::Ek1100, 0, 0)
     }
 
     /// A terminal of so many bytes; its memory says that it does not support LRW, or nothing about it.
-    fn of_bytes(outputs: u8, inputs: u8, takes_lrw: bool) -> Self {
+    pub(crate) fn of_bytes(outputs: u8, inputs: u8, takes_lrw: bool) -> Self {
         let image = terminal_of_bytes(outputs.into(), inputs.into(), false);
         let image = if takes_lrw { image } else { without_lrw(image) };
         Self::new(SlaveKind::Sii(image.into()), 8 * inputs, 8 * outputs)
     }
 
     /// The terminal on a controller whose features say that it does not support LRW.
-    fn with(self, place: PlaceOptions) -> Self {
+    pub(crate) fn with(self, place: PlaceOptions) -> Self {
         Self { place, ..self }
     }
 }
 
-fn options(chain: &[Member]) -> SegmentOptions {
+pub(crate) fn options(chain: &[Member]) -> SegmentOptions {
     SegmentOptions {
         slaves: chain.iter().map(|member| member.kind.clone()).collect(),
         places: chain.iter().map(|member| member.place).collect(),
@@ -89,7 +89,10 @@ fn options(chain: &[Member]) -> SegmentOptions {
     }
 }
 
-fn setup(exchange: ExchangeKind, terminals: SlaveSet) -> BusSetup<etherpen::ethercat::no_drivers::NoDrivers> {
+pub(crate) fn setup(
+    exchange: ExchangeKind,
+    terminals: SlaveSet,
+) -> BusSetup<etherpen::ethercat::no_drivers::NoDrivers> {
     BusSetup {
         terminals,
         exchange,
@@ -130,7 +133,7 @@ impl Bench {
     }
 
     /// Values go through every slave of a chain in both directions while no working counter is wrong.
-    fn assert_exchanges(&mut self, chain: &[(usize, &Member)], random: &mut Random, what: &str) {
+    pub(crate) fn assert_exchanges(&mut self, chain: &[(usize, &Member)], random: &mut Random, what: &str) {
         let errors = self.exchange.counters().working_counter_errors;
         for _ in 0..8 {
             let values: Vec<u64> = chain.iter().map(|_| random.bits()).collect();
@@ -178,14 +181,14 @@ impl Bench {
     }
 
     /// Has registers of the slave at a place on the wire written, as another master would.
-    fn write_as_another(&mut self, position: u16, register: u16, bytes: &[u8]) {
+    pub(crate) fn write_as_another(&mut self, position: u16, register: u16, bytes: &[u8]) {
         let address = Address::position(position, register);
         let (_, counter) = self.as_another(Command::Apwr, address, bytes);
         assert_eq!(counter, 1, "{register:#06x}");
     }
 
     /// Registers of the slave at a place on the wire.
-    fn registers(&mut self, position: u16, register: u16, length: usize) -> Vec<u8> {
+    pub(crate) fn registers(&mut self, position: u16, register: u16, length: usize) -> Vec<u8> {
         let address = Address::position(position, register);
         let (data, counter) = self.as_another(Command::Aprd, address, &vec![0; length]);
         assert_eq!(counter, 1, "{register:#06x}");
@@ -205,7 +208,7 @@ impl Bench {
     }
 
     /// Takes a slave, from 1, out of the chain without switching it off, plugs it in again, and repairs the bus.
-    fn plug_again(&mut self, slave: usize) {
+    pub(crate) fn plug_again(&mut self, slave: usize) {
         self.segment.inject(Fault::Remove(slave));
         self.run_ms(NOTICED_MS);
         self.segment.inject(Fault::Insert(slave));
@@ -213,7 +216,7 @@ impl Bench {
         self.recover();
     }
 
-    fn recover(&mut self) {
+    pub(crate) fn recover(&mut self) {
         assert!(self.commands.enqueue(BusCommand::Recover).is_ok());
         let from = self.log.len();
         self.until(
@@ -234,17 +237,17 @@ impl Bench {
         }
     }
 
-    fn al_state(&self, slave: usize) -> AlState {
+    pub(crate) fn al_state(&self, slave: usize) -> AlState {
         self.segment.slaves()[slave].al_state
     }
 }
 
 /// The logical memory of the slave at a place: 64 bytes for each place.
-fn share(place: usize) -> (u32, u32) {
+pub(crate) fn share(place: usize) -> (u32, u32) {
     (0x0001_0000 + 64 * place as u32, 64)
 }
 
-fn overlap(one: (u32, u32), other: (u32, u32)) -> bool {
+pub(crate) fn overlap(one: (u32, u32), other: (u32, u32)) -> bool {
     one.0 < other.0 + other.1 && other.0 < one.0 + one.1
 }
 
@@ -423,7 +426,7 @@ fn a_slave_without_lrw_that_was_away_at_the_bring_up_is_used_from_the_next_one_o
 }
 
 /// An FMMU of another master: it maps memory of its slave into the logical memory of the slave at a place.
-fn stale_fmmu(place: usize, physical: u16, is_input: bool) -> [u8; 16] {
+pub(crate) fn stale_fmmu(place: usize, physical: u16, is_input: bool) -> [u8; 16] {
     let mut block = [0; 16];
     block[..4].copy_from_slice(&share(place).0.to_le_bytes());
     block[4..6].copy_from_slice(&4_u16.to_le_bytes());
@@ -434,16 +437,16 @@ fn stale_fmmu(place: usize, physical: u16, is_input: bool) -> [u8; 16] {
 }
 
 /// Registers of FMMUs, and of sync managers, from a number on.
-fn fmmu(number: usize) -> u16 {
+pub(crate) fn fmmu(number: usize) -> u16 {
     0x0600 + 16 * number as u16
 }
 
-fn sync_manager(number: usize) -> u16 {
+pub(crate) fn sync_manager(number: usize) -> u16 {
     0x0800 + 8 * number as u16
 }
 
 /// A sync manager of another master, enabled over memory that nobody else uses.
-const STALE_MANAGER: [u8; 8] = [0x00, 0x1F, 4, 0, 0x24, 0, 1, 0];
+pub(crate) const STALE_MANAGER: [u8; 8] = [0x00, 0x1F, 4, 0, 0x24, 0, 1, 0];
 
 #[test]
 fn stale_units_of_a_large_controller_that_takes_no_blocks_of_them_are_cleared() {
@@ -495,84 +498,5 @@ fn stale_units_of_a_large_controller_that_takes_no_blocks_of_them_are_cleared() 
             bench.assert_exchanges(&others, &mut random, &what);
             bench.assert_blank(1, &what);
         }
-    }
-}
-
-/// What another master sets in a slave: ports closed, from 0x0101; the alias that is another slave's address; its own address.
-#[derive(Clone, Copy, Debug)]
-struct Left {
-    ports: u8,
-    alias: u16,
-    station: u16,
-}
-
-#[test]
-fn a_slave_that_is_plugged_in_with_power_loses_what_another_master_has_left_in_it() {
-    /// The second port stays closed: no frame gets behind the slave.
-    const PORT_1_CLOSED: u8 = 0x0C;
-    for seed in 0..48_u64 {
-        let mut random = Random::new(seed);
-        let mut chain = vec![
-            Member::coupler(),
-            Member::of_bytes(1, 2, true),
-            Member::of_bytes(2, 2, true),
-            Member::new(SlaveKind::El2004, 0, 4),
-            Member::of_bytes(3, 1, true),
-        ];
-        let plugged = 1 + (random.bits() % 4) as usize;
-        let other = (plugged + 1 + (random.bits() % 3) as usize) % 5;
-        // Repairs of a long chain take longer than a disturbed exchange is looked on at.
-        let couplers = [0, 11][(seed / 12 % 2) as usize];
-        chain.extend((0..couplers).map(|_| Member::coupler()));
-        let left = Left {
-            ports: [0, PORT_1_CLOSED][(seed % 2) as usize],
-            alias: [0, 0x1001 + other as u16][(seed / 2 % 2) as usize],
-            station: [0x2001, 0x1001 + plugged as u16, 0x1001 + other as u16][(seed / 4 % 3) as usize],
-        };
-        // A slave that nobody uses may have been with another master too.
-        let is_used = seed / 24 % 2 == 0;
-        let used = |place: &usize| is_used || *place != plugged;
-        let kind = [ExchangeKind::Split, ExchangeKind::Combined][(random.bits() % 2) as usize];
-        let what = format!(
-            "seed {seed}, {left:x?} in slave {plugged} of {}, used {is_used}, mapping of {other}, {kind:?}",
-            chain.len()
-        );
-        let mut options = options(&chain);
-        // The controller takes its alias from its memory, and uses it when a master says so.
-        options.places[plugged].alias = left.alias;
-        let terminals = (0..chain.len()).filter(used).collect();
-        let mut bench = Bench::start(&options, setup(kind, terminals));
-        bench.operational();
-        let place = plugged as u16;
-        for unit in 0..3 {
-            bench.write_as_another(place, fmmu(unit), &stale_fmmu(other, 0x1000, unit % 2 == 0));
-            bench.write_as_another(place, sync_manager(unit + 1), &STALE_MANAGER);
-        }
-        bench.write_as_another(place, 0x0103, &[u8::from(left.alias != 0)]);
-        bench.write_as_another(place, 0x0010, &left.station.to_le_bytes());
-        bench.write_as_another(place, 0x0101, &[left.ports]);
-        bench.plug_again(plugged + 1);
-        assert_eq!(bench.registers(place, 0x0101, 1), [0], "ports, {what}");
-        assert_eq!(bench.registers(place, 0x0103, 1), [0], "use of the alias, {what}");
-        let station = (0x1001 + place).to_le_bytes();
-        assert_eq!(bench.registers(place, 0x0010, 2), station, "address, {what}");
-        for slave in (0..chain.len()).filter(used) {
-            let state = bench.al_state(slave);
-            assert_eq!(state, AlState::Operational, "slave {slave}, {what}: {:#?}", bench.log);
-        }
-        for unit in 0..3 {
-            let mapping = bench.registers(place, fmmu(unit), 16);
-            let logical = u32::from_le_bytes([mapping[0], mapping[1], mapping[2], mapping[3]]);
-            let is_own = mapping[12] == 0 || overlap((logical, 1), share(plugged));
-            assert!(is_own, "FMMU {unit} {mapping:x?}, {what}");
-            let manager = bench.registers(place, sync_manager(unit + 1), 7);
-            assert!(
-                !is_used || manager != STALE_MANAGER[..7],
-                "sync manager {}, {what}",
-                unit + 1
-            );
-        }
-        let members: Vec<(usize, &Member)> = chain.iter().enumerate().filter(|(place, _)| used(place)).collect();
-        bench.assert_exchanges(&members, &mut random, &what);
     }
 }

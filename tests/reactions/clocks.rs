@@ -107,6 +107,9 @@ again! {
         ink_begins_and_ends_with_the_line_at_a_servos_speed,
         the_servo_lifts_the_pen_at_every_stop_and_keeps_it_up_when_power_comes_back,
         a_hold_lifts_the_servos_pen_and_its_terminals_failure_is_a_fault;
+    pen_ways [crate::pen_ways]
+        a_move_leaves_the_paper_straight_up_goes_over_the_sheet_and_comes_straight_down,
+        a_path_that_begins_on_the_sheet_is_approached_from_above_with_the_pen_up;
     position [crate::position]
         enabling_and_holding_moves_no_joint_and_a_pushed_target_is_not_taken_over,
         single_lost_targets_leave_no_trace_because_the_drives_extrapolate,
@@ -121,7 +124,7 @@ again! {
 }
 
 /// Tests of these modules that run without clocks only, and why.
-const WITHOUT: [(&str, &str); 7] = [
+const WITHOUT: [(&str, &str); 10] = [
     (
         "a_configuration_is_needed_checked_and_kept",
         "it compares configurations, to which the clocks belong",
@@ -149,6 +152,18 @@ const WITHOUT: [(&str, &str); 7] = [
     (
         "whatever_stops_the_robot_in_position_mode_the_next_drawing_comes_out_right",
         "it takes minutes, and the faults are those of other modules, which run with clocks",
+    ),
+    (
+        "a_pen_whose_way_is_cancelled_at_any_millisecond_is_up_and_leaves_no_ink_elsewhere",
+        "it scans every millisecond, and the setpoints do not depend on clocks",
+    ),
+    (
+        "a_pen_whose_way_up_is_cancelled_is_up",
+        "it scans every millisecond, and the setpoints do not depend on clocks",
+    ),
+    (
+        "a_drawing_held_on_the_way_down_has_its_pen_up_and_then_draws_its_whole_line",
+        "it scans every millisecond, and the setpoints do not depend on clocks",
     ),
 ];
 

@@ -31,6 +31,7 @@ mod path_stop;
 mod path_stop_left;
 mod pen_output;
 mod pen_servo;
+mod pen_ways;
 mod position;
 mod robot;
 mod stale;

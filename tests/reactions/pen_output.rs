@@ -102,7 +102,7 @@ pub(crate) fn the_pen_is_off_at_once_at_a_stop_a_drive_fault_and_a_lost_terminal
 }
 
 /// A gantry with switches and an axis of the height, whose pen is at an output besides.
-fn gantry_with_pen_output() -> Config {
+pub(super) fn gantry_with_pen_output() -> Config {
     let mut config = MACHINES[1].load().unwrap();
     config.pen = PenLift {
         kind: PenLiftKind::Output,

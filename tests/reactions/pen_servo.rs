@@ -21,7 +21,7 @@ const LEAVES_MAX_MS: u32 = 60;
 /// Largest distance of an end of the ink from that of its line, mm.
 const END_MAX_MM: f64 = 0.1;
 
-fn servo(speed_mm_s: f64) -> Config {
+pub(super) fn servo(speed_mm_s: f64) -> Config {
     let mut config = corexy();
     config.motion.speed_mm_s = speed_mm_s;
     config.pen.kind = PenLiftKind::Servo;

@@ -26,6 +26,8 @@ pub enum Condition {
     Lost,
     /// The slave answers, but is not in OP.
     LeftOperational,
+    /// A slave answers at the address of one that was lost: it may be another one.
+    Returned,
     /// Brought below OP on request, and left there.
     Parked,
 }

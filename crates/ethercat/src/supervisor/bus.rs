@@ -139,7 +139,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             return;
         };
         slave.own_data = None;
-        if slave.condition != Condition::Lost {
+        if !matches!(slave.condition, Condition::Lost | Condition::Returned) {
             slave.condition = Condition::LeftOperational;
         }
         let Failure { step, error, .. } = failure;
@@ -155,12 +155,13 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         let members = || self.slaves.iter().filter(|slave| slave.member.is_some());
         let is_lost = |slave: &&Slave<F>| match slave.condition {
             Condition::Lost => true,
-            Condition::LeftOperational => slave.report.is(AlState::Operational),
+            Condition::LeftOperational | Condition::Returned => slave.report.is(AlState::Operational),
             _ => false,
         };
+        let has_left = |slave: &&Slave<F>| matches!(slave.condition, Condition::LeftOperational | Condition::Returned);
         let lost = members().find(is_lost).map(|slave| (slave, LOST_SLAVE));
         let left = || {
-            let left = members().find(|slave| slave.condition == Condition::LeftOperational);
+            let left = members().find(has_left);
             left.map(|slave| (slave, slave.report.instead_of(AlState::Operational)))
         };
         lost.or_else(left)
@@ -170,7 +171,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
     /// The terminal with this number and why it is refused, if it has left its state, or is given up.
     pub(super) fn left_terminal(&self, number: usize, is_given_up: bool) -> Option<(usize, Failure)> {
         let slave = self.slaves.get(number).filter(|slave| slave.is_terminal)?;
-        let has_left = slave.condition == Condition::LeftOperational;
+        let has_left = matches!(slave.condition, Condition::LeftOperational | Condition::Returned);
         let error = match slave.condition {
             _ if has_left => slave.report.instead_of(AlState::Operational),
             Condition::Lost => LOST_SLAVE,
@@ -504,20 +505,18 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
     }
 
     /// Takes the address from a slave that comes back with the mapping of another master, and the mapping: it disturbs the
-    /// exchange, and may be any slave that has the address. It is a stranger from then on. Returns whether it was one.
+    /// exchange, and may be any slave that has the address. It is a stranger from then on. Returns whether it was one; if it
+    /// could not be made a stranger, the next inspection tries again.
     async fn disown(&mut self, number: usize) -> bool {
         let Some(slave) = self.slaves.get(number) else {
             return false;
         };
         let (station, share) = (slave.station(), process_data::share(slave));
-        let is_foreign = discovery::maps_outside(&mut self.port, station, share).await;
-        is_foreign == Ok(true) && self.make_stranger(station).await.is_ok()
-    }
-
-    /// Takes mapping and address from the slave, or the slaves, that have a station address.
-    pub(super) async fn make_stranger(&mut self, station: u16) -> Result<(), BusError> {
-        discovery::clear_fmmus(&mut self.port, station).await?;
-        discovery::rename(&mut self.port, station, 0).await
+        let is_foreign = discovery::maps_outside(&mut self.port, station, share).await == Ok(true);
+        if is_foreign {
+            let _ = self.make_stranger(station).await;
+        }
+        is_foreign
     }
 
     fn is_lost(&self, number: usize) -> bool {
@@ -537,6 +536,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
                 // Only a repair brings a slave back into use.
                 Condition::Operational if report.is(AlState::Operational) => (Condition::Operational, report),
                 left_alone @ (Condition::Parked | Condition::Unused) => (left_alone, report),
+                Condition::Lost | Condition::Returned => (Condition::Returned, report),
                 // A bring-up that another slave ended has left it where it was.
                 Condition::Configuring if !report.is_flagged() => (Condition::Configuring, report),
                 _ => (Condition::LeftOperational, report),
@@ -550,7 +550,9 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         self.has_lost |= condition == Condition::Lost;
         match condition {
             Condition::Lost => self.emit(BusEvent::SlaveLost { position }).await,
-            Condition::LeftOperational => self.emit(BusEvent::SlaveLeft { position, report }).await,
+            Condition::LeftOperational | Condition::Returned => {
+                self.emit(BusEvent::SlaveLeft { position, report }).await;
+            }
             _ => self.introduce(number).await,
         }
         true

@@ -46,6 +46,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         match places.iter().position(|there| *there == station) {
             Some(place) => {
                 self.is_in_order(&places, place, number).map_err(at(Step::Locate))?;
+                if slave.condition == Condition::Returned {
+                    self.is_the_same(number).await.map_err(at(Step::Identify))?;
+                }
                 if slave.is_refused_terminal() {
                     self.read_again(number).await.map_err(at(Step::Identify))?;
                 } else if self.resume(number).await.is_ok() {
@@ -66,6 +69,29 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         self.reach_operational(number).await
     }
 
+    /// Whether the slave that answers at the address of a lost one is that slave: masters give the same addresses, so one that
+    /// comes from another bus with power may have it. Another one loses the address.
+    async fn is_the_same(&mut self, number: usize) -> Result<(), BusError> {
+        let Some(slave) = self.slaves.get(number).copied() else {
+            return Ok(());
+        };
+        let station = slave.station();
+        // From PREOP on its processor has the memory.
+        information::take(&mut self.port, station).await;
+        let fixed = information::fixed_part(&mut self.port, station).await?;
+        let checked = match self.is_same(&slave, &fixed.identity) {
+            Ok(()) => self.check_returned(number, station, fixed.identity).await.map(|_| ()),
+            other => other,
+        };
+        information::give_to_slave(&mut self.port, station).await;
+        match (&checked, self.slaves.get_mut(number)) {
+            (Ok(()), Some(slave)) => slave.condition = Condition::LeftOperational,
+            (Err(BusError::Identity { .. } | BusError::WrongSlave { .. }), _) => self.make_stranger(station).await?,
+            _ => {}
+        }
+        checked
+    }
+
     /// Reads the information memory of a terminal that was refused or could not be read: what was read before may have been
     /// damaged. Compares its identity with what is expected.
     pub(super) async fn read_again(&mut self, number: usize) -> Result<(), BusError> {
@@ -81,21 +107,37 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     }
 
     /// The station addresses along the chain. Removes temporary ones, which interrupted work has left, and those that two
-    /// slaves have: these could not be told apart.
+    /// slaves have: frames with such an address are taken by both.
     pub(super) async fn places(&mut self) -> Result<Places, BusError> {
         let mut places = self.settled_places().await?;
-        for _ in 0..SETTLED_TRIES_MAX {
-            let Some(station) = twice(&places) else { break };
-            self.make_stranger(station).await?;
-            places = self.settled_places().await?;
-        }
         if places.contains(&STATION_TEMPORARY) {
+            discovery::clear_fmmus(&mut self.port, STATION_TEMPORARY).await?;
             self.name(0).await?;
         }
         for station in places.iter_mut().filter(|station| **station == STATION_TEMPORARY) {
             *station = 0;
         }
+        for _ in 0..PLACES_MAX {
+            let Some(station) = twice(&places) else { break };
+            self.make_stranger(station).await?;
+            places = self.settled_places().await?;
+        }
         Ok(places)
+    }
+
+    /// Takes mapping and address from the slave, or the slaves, that have a station address, each by its place.
+    pub(super) async fn make_stranger(&mut self, station: u16) -> Result<(), BusError> {
+        let mut places = self.settled_places().await?;
+        for place in 0..places.len() {
+            if places.get(place) == Some(&station) {
+                self.mark(place as u16, &places).await?;
+                self.name(0).await?;
+                if let Some(there) = places.get_mut(place) {
+                    *there = 0;
+                }
+            }
+        }
+        Ok(())
     }
 
     /// The station addresses along a chain that has not changed while they were read.
@@ -310,12 +352,13 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         information::fixed_part(&mut self.port, STATION_TEMPORARY).await
     }
 
-    /// Gives the slave at a place without an address the temporary one, and looks whether it was that slave: one that has
-    /// returned since the places were read shifts them. Then another slave has got the address, and gets back the one
-    /// that it had.
+    /// Gives the slave at a place, which has no address of its own here, the temporary one, and looks whether it was that slave:
+    /// one that has returned since the places were read shifts them. Then another slave has got the address, and gets back the
+    /// one that it had. What the marked slave maps into the logical memory is cleared: another master may have set it.
     pub(super) async fn mark(&mut self, place: u16, places: &Places) -> Result<(), BusError> {
         let assigned = discovery::assign_station(&mut self.port, place, STATION_TEMPORARY).await;
-        self.look_for_mark(place, places, assigned).await
+        self.look_for_mark(place, places, assigned).await?;
+        discovery::clear_fmmus(&mut self.port, STATION_TEMPORARY).await
     }
 
     /// Looks whether the slave with the temporary address is still where it was marked, before it gets another one: with
@@ -344,10 +387,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         Err(other_chain(place, places, &there))
     }
 
-    /// The address that the slave with the temporary one had before slaves returned in front of it; 0 if it had none, or
-    /// if nobody can know.
+    /// The address that the slave with the temporary one had before slaves returned in front of it, or dropped out; 0 if it had
+    /// none, or if nobody can know.
     fn renamed(&self, places: &Places, there: &Places) -> u16 {
-        let returned = there.len().saturating_sub(places.len());
         let mut marked = there
             .iter()
             .enumerate()
@@ -355,9 +397,10 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let (Some((place, _)), None) = (marked.next(), marked.next()) else {
             return 0;
         };
-        let before = place.checked_sub(returned);
+        let before = (place + places.len()).checked_sub(there.len());
         let station = before.and_then(|place| places.get(place)).copied().unwrap_or(0);
-        let is_gone = returned > 0 && self.number_of(station).is_some() && !there.contains(&station);
+        let has_shifted = there.len() != places.len();
+        let is_gone = has_shifted && self.number_of(station).is_some() && !there.contains(&station);
         if is_gone { station } else { 0 }
     }
 

@@ -59,6 +59,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<'_, 
         let (there, now_ms) = (self.inbox.slaves(), self.bus.port.now_ms());
         if there != self.slaves_sorted {
             (self.slaves_sorted, self.changed_ms, self.waits_long) = (there, Some(now_ms), false);
+            // Those that are missing may be behind a port that another master has closed.
+            self.open_ports().await;
         }
         let pause_ms = if self.waits_long { SLOW_MS } else { CHANGED_MS };
         let stable_ms = (pause_ms << self.retries.min(DOUBLED_MAX)).min(PAUSE_MAX_MS);

@@ -129,6 +129,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         }
         if from != Some(AlState::SafeOperational) {
             self.ready_mailbox(number).await?;
+            self.adapt_exchange(number).await?;
             information::take(&mut self.port, station).await;
             self.configure(number).await?;
         }
