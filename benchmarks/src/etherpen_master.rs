@@ -80,6 +80,7 @@ impl<'q, const DRIVES: usize> EtherpenMaster<'q, DRIVES> {
                 wide: true,
                 is_spread: true,
                 time_number: 0,
+                period: ReferenceClock::period_of_ns(1_000_000),
             });
         }
         let (inputs, outputs) = (u32::from(case.data.inputs), u32::from(case.data.outputs));

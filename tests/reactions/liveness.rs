@@ -216,6 +216,7 @@ const ABSENCES: [Absence; 3] = [
 /// Asserts that the true clocks of these slaves have not jumped since the last call.
 fn assert_no_jump(robot: &mut Robot, slaves: &[usize], [step_max_ns, sum_max_ns]: Bounds, when: &str) {
     let steps = robot.steps.replace(Steps::default()).expect("the clocks are seen");
+    assert!(steps.seen() >= 100, "{when}");
     for slave in slaves {
         let [step_ns, sum_ns] = steps.of(*slave);
         println!(

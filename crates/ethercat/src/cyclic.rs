@@ -399,6 +399,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTH
             lost += 1;
             self.first.counters.count_lost();
             self.silent_cycles = self.silent_cycles.saturating_add(1).min(SILENT_CYCLES);
+            self.first.continue_clock();
             self.answer_lost();
         } else if is_received {
             self.silent_cycles = 0;

@@ -54,6 +54,7 @@ fn plan(exchange: ExchangeKind) -> CyclicPlan<NoDrivers, SLAVES> {
             wide: true,
             is_spread: true,
             time_number: 0,
+            period: ReferenceClock::period_of_ns(1_000_000),
         }),
         ..CyclicPlan::default()
     }
@@ -281,16 +282,22 @@ fn the_reference_clocks_time_is_read_spread_and_refused_unless_all_have_it() {
         assert_eq!(rig.exchange.clock_ns(), Some(expected));
         let mut telegram = rig.input();
         assert_eq!(rig.exchange.clock_ns(), None, "a time is good for its cycle");
+        let expected_ns = TIME_NS + 1_000_000;
         rig.each(&mut telegram, |number, datagram| {
             if number == SLAVES + 1 {
-                // Without an answer of the reference the slaves get the last time, not 0.
-                assert_eq!(datagram.data(), &TIME_NS.to_le_bytes()[..if wide { 8 } else { 4 }]);
+                // Without an answer of the reference the slaves get the time that is expected, not 0.
+                assert_eq!(datagram.data(), &expected_ns.to_le_bytes()[..if wide { 8 } else { 4 }]);
                 assert_eq!(datagram.address(), Address::station(0x1001, 0x0910));
             }
         });
         let mut reply = rig.answered(telegram);
         rig.each(&mut reply, |number, datagram| {
             if number == SLAVES + 1 {
+                // Nobody has replaced what was sent.
+                let length = datagram.data().len();
+                datagram
+                    .data_mut()
+                    .copy_from_slice(&expected_ns.to_le_bytes()[..length]);
                 datagram.set_working_counter(3);
             }
         });

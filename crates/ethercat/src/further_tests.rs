@@ -174,6 +174,7 @@ fn plan(random: &mut Random, slaves: usize, longest: u32, exchange: ExchangeKind
             wide: true,
             is_spread: true,
             time_number: 0,
+            period: ReferenceClock::period_of_ns(1_000_000),
         }),
         ..CyclicPlan::default()
     }

@@ -105,9 +105,25 @@ pub struct ReferenceClock {
     pub is_spread: bool,
     /// Number of the time, wrapping: with a new one the clocks have been set anew, without regard to the time before.
     pub time_number: u8,
+    /// Period of the exchange, in units of [`Self::PERIOD_UNIT_NS`]: by as much the time goes on in a cycle in which the
+    /// reference does not answer.
+    pub period: u16,
 }
 
 impl ReferenceClock {
+    /// Unit of the period, ns.
+    pub const PERIOD_UNIT_NS: u32 = 200;
+
+    /// A period in its unit, the nearest one.
+    pub const fn period_of_ns(period_ns: u32) -> u16 {
+        let periods = (period_ns + Self::PERIOD_UNIT_NS / 2) / Self::PERIOD_UNIT_NS;
+        if periods > u16::MAX as u32 {
+            u16::MAX
+        } else {
+            periods as u16
+        }
+    }
+
     pub(super) const fn length(&self) -> usize {
         if self.wide { 8 } else { 4 }
     }
@@ -366,6 +382,7 @@ mod tests {
                 wide: true,
                 is_spread: true,
                 time_number: 0,
+                period: ReferenceClock::period_of_ns(1_000_000),
             }),
             ..CyclicPlan::default()
         }

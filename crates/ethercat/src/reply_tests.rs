@@ -56,6 +56,7 @@ fn plan(random: &mut Random) -> Plan {
             wide: kind == 1,
             is_spread: random.next().is_multiple_of(2),
             time_number: 0,
+            period: ReferenceClock::period_of_ns(1_000_000),
         }),
     };
     CyclicPlan {
@@ -133,48 +134,69 @@ fn every_slaves_inputs_are_those_of_the_reply_whatever_their_lengths_and_order()
     }
 }
 
+/// What becomes of a frame with the reference's time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Fate {
+    Answered,
+    /// The others answer, the reference does not.
+    Silent,
+    Lost,
+    /// As silent, and the next frame is that of a new plan.
+    NewPlan,
+}
+
 #[test]
-fn the_time_of_a_reference_that_does_not_answer_goes_on_by_the_last_cycle() {
-    const STEP_NS: u64 = 1_000_192;
+fn the_time_of_a_reference_that_does_not_answer_goes_on_by_the_cycles_whatever_else_happens() {
     let mut random = Random::new(31);
     let mut seen = 0;
-    for number in 0..PLANS / 8 {
+    for number in 0..PLANS {
         let mut plan = plan(&mut random);
         let Some(clock) = plan.clock.as_mut() else { continue };
-        clock.is_spread = true;
+        let period_ns = [250_000, 1_000_000, 10_000_000][number as usize % 3];
+        (clock.is_spread, clock.period) = (true, ReferenceClock::period_of_ns(period_ns));
         let length = if clock.wide { 8 } else { 4 };
         let mask = u64::MAX >> (64 - 8 * length);
         let (end, mut supervisor, _) = Box::leak(Box::new(BusQueues::<NoDrivers, SLAVES, 64>::new())).split();
-        assert!(supervisor.plans.enqueue(plan).is_ok());
+        assert!(supervisor.plans.enqueue(plan.clone()).is_ok());
         let mut exchange = Exchange::new(end, MAC);
         let begun_ns = u64::from(random.next()) << 20 | u64::from(random.next());
-        for (cycle, answers) in [true, true, true, false, false, true, false].into_iter().enumerate() {
+        let fates = [Fate::Answered, Fate::Silent, Fate::Lost, Fate::NewPlan];
+        // The first answer tells the time.
+        let later = (0..12).map(|_| fates[random.next() as usize % 4]);
+        let fates: Vec<Fate> = core::iter::once(Fate::Answered).chain(later).collect();
+        for (cycle, fate) in fates.iter().enumerate() {
             let sent = exchange.input_telegram().to_vec();
             let clock = places(&sent).last().expect("the clock's datagram").clone();
             let data = clock.end - 2 - length..clock.end - 2;
             let mut carried = [0; 8];
             carried[..length].copy_from_slice(&sent[data.clone()]);
-            let now_ns = begun_ns.wrapping_add(STEP_NS * cycle as u64);
-            // Two answers tell how long a cycle is.
-            if cycle >= 2 {
+            let now_ns = begun_ns.wrapping_add(u64::from(period_ns) * cycle as u64);
+            if cycle > 0 {
+                let expected_ns = now_ns & mask;
                 assert_eq!(
                     u64::from_le_bytes(carried),
-                    now_ns & mask,
-                    "plan {number}, cycle {cycle}"
+                    expected_ns,
+                    "plan {number}, {fates:?}, {cycle}"
                 );
             }
-            let mut reply = sent.clone();
-            answered(&mut reply, &mut random);
-            let time_ns = if answers { now_ns.to_le_bytes() } else { carried };
-            reply[data].copy_from_slice(&time_ns[..length]);
-            // The others have been written what was sent.
-            reply[clock.end - 2] = if answers { 5 } else { 4 };
-            assert_eq!(exchange.receive(&reply), Arrival::Input, "plan {number}");
-            assert_eq!(exchange.clock_ns().is_some(), answers, "plan {number}");
+            if *fate == Fate::NewPlan {
+                assert!(supervisor.plans.enqueue(plan.clone()).is_ok());
+            }
+            if *fate != Fate::Lost {
+                let answers = *fate == Fate::Answered;
+                let mut reply = sent.clone();
+                answered(&mut reply, &mut random);
+                let time_ns = if answers { now_ns.to_le_bytes() } else { carried };
+                reply[data].copy_from_slice(&time_ns[..length]);
+                // The others have been written what was sent.
+                reply[clock.end - 2] = if answers { 5 } else { 4 };
+                assert_eq!(exchange.receive(&reply), Arrival::Input, "plan {number}");
+                assert_eq!(exchange.clock_ns().is_some(), answers, "plan {number}");
+            }
             seen += 1;
         }
     }
-    assert!(seen > 100);
+    assert!(seen > 1_000, "{seen}");
 }
 
 #[test]

@@ -15,7 +15,7 @@ use super::plan::{AL_STATUS_LEN, PROCESS_BYTES_MAX, ReferenceClock, SPAN_BYTES_M
 use super::slave_set::Places;
 use super::wire::{
     Address, Command, DATAGRAM_HEADER_LEN, DATAGRAM_OVERHEAD, DatagramRepr, FRAME_LEN_MAX, FRAME_LEN_MIN, MacAddress,
-    read_u16, register, write_bytes,
+    read_u16, read_u32, read_u64, register, write_bytes,
 };
 use heapless::Vec;
 
@@ -153,8 +153,8 @@ struct Common {
     wide_time: u16,
     /// Expected working counter of the clock's datagram.
     clock_slaves: u16,
-    /// Time between the last two answers of the reference clock, 256 ns; 0 if it is not known.
-    clock_step: u16,
+    /// Period of the exchange, see [`ReferenceClock::period`].
+    period: u16,
 }
 
 impl Common {
@@ -166,14 +166,12 @@ impl Common {
         narrow_clock: NOWHERE,
         wide_time: NOWHERE,
         clock_slaves: 0,
-        clock_step: 0,
+        period: 0,
     };
 }
 
 /// A place beyond every frame.
 const NOWHERE: u16 = u16::MAX;
-/// Bits of a nanosecond count that a step leaves out.
-const STEP_SHIFT: u32 = 8;
 
 /// One acyclic datagram of the present transmission.
 #[derive(Clone, Copy, Debug)]
@@ -344,6 +342,7 @@ impl<const SLAVES: usize, M: Places> Telegram<SLAVES, M> {
                 self.common.narrow_clock = place;
             }
             self.common.clock_slaves = clock.slaves;
+            self.common.period = clock.period;
             self.common.clock_header = self.header(data);
             self.common.status_header.set_more(true);
         }
@@ -517,42 +516,45 @@ impl<const SLAVES: usize, M: Places> Telegram<SLAVES, M> {
         self.frame.0.get_mut(start..start + length)
     }
 
-    /// Takes the reference's time, ns. The next transmission's clock datagram carries the time that the reference will have then,
-    /// as far as two answers tell: the reference replaces it by its own, unless it is gone.
+    /// Takes the reference's time, ns. The next transmission's clock datagram carries the time that the reference will have then:
+    /// the reference replaces it by its own, unless it is gone.
     #[inline(always)]
     pub(super) fn set_clock(&mut self, time_ns: u64) {
-        let common = &mut self.common;
-        match chunk_mut(&mut self.frame.0, common.wide_time.into()) {
-            Some(bytes) => {
-                let before_ns = u64::from_le_bytes(*bytes).wrapping_sub(step_ns(common.clock_step).into());
-                common.clock_step = step(time_ns.wrapping_sub(before_ns));
-                *bytes = time_ns.wrapping_add(step_ns(common.clock_step).into()).to_le_bytes();
-            }
-            None => self.set_narrow_clock(time_ns as u32),
+        let next_ns = time_ns.wrapping_add(self.period_ns().into());
+        match chunk_mut(&mut self.frame.0, self.common.wide_time.into()) {
+            Some(bytes) => *bytes = next_ns.to_le_bytes(),
+            None => self.set_narrow_clock(next_ns as u32),
         }
     }
 
     /// Lets the time go on that the clock's datagram carries, where the reference has not answered: it is written to the other
-    /// slaves until another reference is named.
-    #[inline(always)]
+    /// slaves until another reference is named. A time of 0 is not known yet.
+    #[cold]
+    #[inline(never)]
     pub(super) fn continue_clock(&mut self) {
-        if self.common.clock_step != 0 {
-            self.advance_clock();
+        if let Some(time_ns) = self.carried_ns().filter(|time_ns| *time_ns != 0) {
+            self.set_clock(time_ns);
         }
     }
 
-    #[cold]
-    #[inline(never)]
-    fn advance_clock(&mut self) {
-        let step_ns = step_ns(self.common.clock_step);
-        if let Some(bytes) = chunk_mut(&mut self.frame.0, self.common.wide_time.into()) {
-            *bytes = u64::from_le_bytes(*bytes).wrapping_add(step_ns.into()).to_le_bytes();
-            return;
+    /// The time that the clock's datagram carries, ns: 64 or 32 bits of it. `None` without the datagram.
+    pub(super) fn carried_ns(&self) -> Option<u64> {
+        let bytes = |start: usize, length: usize| self.frame.0.get(start..start + length);
+        if let Some(bytes) = bytes(self.common.wide_time.into(), 8) {
+            return Some(read_u64(bytes, 0));
         }
-        let place = self.narrow_time();
-        if let Some(bytes) = chunk_mut(&mut self.frame.0, place) {
-            *bytes = u32::from_le_bytes(*bytes).wrapping_add(step_ns).to_le_bytes();
-        }
+        bytes(self.narrow_time(), 4).map(|bytes| read_u32(bytes, 0).into())
+    }
+
+    /// Has the clock's datagram carry a time, ns.
+    pub(super) fn carry(&mut self, time_ns: u64) {
+        self.set_clock(time_ns.wrapping_sub(self.period_ns().into()));
+    }
+
+    /// Period of the exchange, ns.
+    #[inline(always)]
+    const fn period_ns(&self) -> u32 {
+        self.common.period as u32 * ReferenceClock::PERIOD_UNIT_NS
     }
 
     /// Place of the time of a clock of 32 bits in the frame.
@@ -565,25 +567,9 @@ impl<const SLAVES: usize, M: Places> Telegram<SLAVES, M> {
     fn set_narrow_clock(&mut self, time_ns: u32) {
         let place = self.narrow_time();
         if let Some(bytes) = chunk_mut(&mut self.frame.0, place) {
-            let common = &mut self.common;
-            let before_ns = u32::from_le_bytes(*bytes).wrapping_sub(step_ns(common.clock_step));
-            common.clock_step = step(time_ns.wrapping_sub(before_ns).into());
-            *bytes = time_ns.wrapping_add(step_ns(common.clock_step)).to_le_bytes();
+            *bytes = time_ns.to_le_bytes();
         }
     }
-}
-
-/// The time of a cycle, 256 ns, from that between two answers of the reference clock, ns; 0 if it is longer than any.
-#[inline(always)]
-const fn step(passed_ns: u64) -> u16 {
-    let step = passed_ns >> STEP_SHIFT;
-    if step <= u16::MAX as u64 { step as u16 } else { 0 }
-}
-
-/// The time of a step, ns.
-#[inline(always)]
-const fn step_ns(step: u16) -> u32 {
-    (step as u32) << STEP_SHIFT
 }
 
 /// The `N` bytes from a place on, to be written; `None` if they are not all there.

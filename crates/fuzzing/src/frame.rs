@@ -68,6 +68,7 @@ impl Choice {
                 wide: self.flags & 16 != 0,
                 is_spread: self.flags & 16 == 0,
                 time_number: 0,
+                period: ReferenceClock::period_of_ns(1_000_000),
             }),
             ..CyclicPlan::default()
         }

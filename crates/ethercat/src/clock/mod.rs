@@ -109,7 +109,7 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
     }
 
     /// Place in the chain of the slave that distributes its time: the first that answers and has the time of the bus.
-    /// FRMW writes the time of the cycle before to clocks before that slave, so it has to be the first.
+    /// FRMW writes a time that was expected a cycle before to clocks before that slave, so it has to be the first.
     fn distributor(&self, answers: impl Fn(usize) -> bool) -> Option<usize> {
         let mut places = self.slaves.iter().enumerate();
         places
@@ -142,6 +142,7 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
             wide,
             is_spread: !self.is_held,
             time_number: self.time_number,
+            period: ReferenceClock::period_of_ns(self.period_ns),
         })
     }
 
@@ -539,8 +540,9 @@ pub struct SyncSignals {
     pub shift_ns: u32,
 }
 
-/// Starts SYNC0 of the slave at `position` with the period of the exchange, and SYNC1 if its signals say so, in PREOP. Slave
-/// and reference are read in one frame, so that the start is right for clocks of either width. `answers` returns false for slaves that are lost. Returns the start time in the slave's own system time.
+/// Starts SYNC0 of the slave at `position` with the period of the exchange, and SYNC1 if its signals say so, in PREOP, once its
+/// clock has the time of the bus. The start is right for clocks of either width. `answers` returns false for slaves that are lost.
+/// Returns the start time in the slave's own system time.
 ///
 /// # Errors
 /// As [`AcyclicPort::send_all_until_counted`].
@@ -555,29 +557,17 @@ pub async fn start_sync<const SLAVES: usize, const MESSAGE: usize>(
     let station = stations.get(position).copied().unwrap_or(0);
     let source = clocks.distributor(answers);
     let delay_ns = clocks.delay_from_ns(source, position);
-    let reference = source
-        .and_then(|source| stations.get(source).copied())
-        .unwrap_or(station);
     stop_sync(port, station).await?;
     // The time to SYNC1 lies behind the period; another master may have left one.
     let times = u64::from(signals.sync1_ns) << 32 | u64::from(clocks.period_ns);
     port.write(station, register::DC_SYNC0_CYCLE, &times.to_le_bytes())
         .await?;
-    let requests = [reference, station].map(|station| {
-        let address = Address::station(station, register::DC_SYSTEM_TIME);
-        Request::read(Command::Fprd, address, 8)
-    });
-    let mut times_ns = [0; 2];
-    port.send_all_until_counted(&requests, 1, |number, bytes| {
-        if let Some(time_ns) = times_ns.get_mut(number) {
-            *time_ns = read_u64(bytes, 0);
-        }
-    })
-    .await?;
-    let [reference_ns, local_ns] = times_ns;
-    let now_ns = clocks.extended_ns(reference_ns, port.now_ms());
+    // Its clock has the time of the bus; reads of both clocks may travel in frames of different cycles.
+    let local_ns = read_u64(&port.read(station, register::DC_SYSTEM_TIME, 8).await?, 0);
+    let passed_ns = local_ns.wrapping_sub(delay_ns.into());
+    let now_ns = clocks.extended_ns(passed_ns, port.now_ms());
     let ahead_ns = clocks.start_time_ns(now_ns, signals.shift_ns).wrapping_sub(now_ns);
-    let start_ns = local_ns.wrapping_sub(delay_ns.into()).wrapping_add(ahead_ns);
+    let start_ns = passed_ns.wrapping_add(ahead_ns);
     port.write(station, register::DC_START_TIME, &start_ns.to_le_bytes())
         .await?;
     port.write(

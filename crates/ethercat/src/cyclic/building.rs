@@ -32,6 +32,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTHER: 
                 write_bytes(kept, 0, self.output(number));
             }
         }
+        let carried_ns = self.carried_for(&plan);
         self.first.clear(&self.encapsulation, self.source);
         self.second.clear(&self.encapsulation, self.source);
         self.further.clear(&self.encapsulation, self.source);
@@ -58,6 +59,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTHER: 
         self.unconfirmed = unconfirmed.first() & self.output_members;
         self.further.set_unconfirmed(unconfirmed);
         self.first.push_common(plan.clock);
+        if let Some(time_ns) = carried_ns {
+            self.first.carry(time_ns);
+        }
         self.first.finish(&self.encapsulation);
         self.second.finish(&self.encapsulation);
         self.further.finish(&self.encapsulation);
@@ -68,6 +72,14 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize, const FURTHER: 
             let length = output.len();
             write_bytes(output, 0, kept.get(..length).unwrap_or(&[]));
         }
+    }
+
+    /// The time that the clock's datagram carries, for a plan with the same time: it is written to the slaves in front of the
+    /// reference, and to all others while the reference does not answer. The upper half of a clock of 32 bits is not known.
+    fn carried_for(&self, plan: &CyclicPlan<F, SLAVES>) -> Option<u64> {
+        let (old, new) = (self.plan.clock?, plan.clock?);
+        let is_known = old.time_number == new.time_number && (old.wide || !new.wide);
+        self.first.carried_ns().filter(|_| is_known)
     }
 
     /// Adds a slave's datagram to a telegram of the cycle's start: the number of the frame, and of the slave's inputs.

@@ -391,7 +391,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
     }
 
     /// Sets the clock of a slave that was switched off or cut off. Meanwhile the reference's time is only read: FRMW would
-    /// write the time of the cycle before to the clocks before the reference.
+    /// write a time that was expected a cycle before to the clocks before the reference.
     pub(super) async fn restore_clock(&mut self, number: usize) -> Result<(), BusError> {
         let Some(slave) = self.slaves.get(number).filter(|_| self.setup.clocks) else {
             return Ok(());
