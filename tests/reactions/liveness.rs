@@ -174,7 +174,7 @@ type Bounds = [i64; 2];
 /// They go on as if nothing had happened.
 const UNTOUCHED: Bounds = [DRIFT_MAX_NS, 0];
 /// A reference falls silent: its time goes on by the master's cycles until another one is named.
-const CONTINUED_BY_CYCLES: Bounds = [2_000, 10_000];
+const CONTINUED_BY_CYCLES: Bounds = [100, 10_000];
 /// The first one is set to their time by a measurement, and distributes it again.
 const SET_AGAIN: Bounds = [200, 2_000];
 
