@@ -111,6 +111,7 @@ impl Config {
             paper: self.paper,
             motion: self.pen.within(&self.motion, &self.paper),
             dead_man_ms: self.bus.dead_man_ms,
+            has_separate_pen: self.pen.kind.is_output(),
         }
     }
 

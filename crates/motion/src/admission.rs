@@ -10,6 +10,7 @@
 //! stays within the tolerance of its legs, and the checked points keep that margin from the limits of the joints.
 
 use super::heading::Winding;
+use super::pen_lift::PenLift;
 use super::work_area::{Outside, WorkArea};
 use super::{Pen, Refusal, RefusalReason, Vertex, jog};
 use crate::robots::vector::{Vector, add_scaled, length, subtract};
@@ -40,6 +41,7 @@ pub struct Admission {
     turn_range_rad: [f64; 2],
     /// Where the platform is with the pen down and up.
     pen: [Plane; 2],
+    lift: PenLift,
 }
 
 impl Admission {
@@ -58,6 +60,7 @@ impl Admission {
             wound_at: None,
             turn_range_rad: settings.geometry.turn_range_rad(),
             pen: [down, down.raised(settings.paper.pen_lift_mm)],
+            lift: PenLift::new(settings),
         })
     }
 
@@ -112,13 +115,22 @@ impl Admission {
         side.map_or(Ok(()), Err)
     }
 
-    /// Checks a straight move from a pose; the fourth axis keeps its angle.
+    /// Checks a move from a pose, straight or over the sheet; the fourth axis keeps its angle.
     ///
     /// # Errors
     /// Index 0 with the first reason found.
     pub fn check_move(&mut self, pose: &JointAngles, target: &Position) -> Result<(), Refusal> {
+        let refused = |reason| Refusal { index: 0, reason };
         self.restart_at(pose);
-        self.reason(target).map_err(|reason| Refusal { index: 0, reason })
+        if let Some(start) = self.start {
+            let [lifted, above] = self.lift.over_in_move(&self.area, &start.into(), &(*target).into());
+            self.start = Some(lifted.map_or(start, Position::from));
+            if let Some(above) = above.map(Position::from) {
+                self.reason(&above).map_err(refused)?;
+                self.start = Some(above);
+            }
+        }
+        self.reason(target).map_err(refused)
     }
 
     /// Checks lifting or lowering the pen at the present position.

@@ -11,7 +11,8 @@
 //! 4. `averaging`: moving average
 //! 5. `limits`, `work_area`, `shaping`: limits along a path; the space that a robot may use; the polyline with rounded
 //!    corners
-//! 6. `scan`, `micro_interpolator`, `heading`: the fastest speed over a grid; 1 ms setpoints; angle of the fourth axis
+//! 6. `scan`, `micro_interpolator`, `heading`, `pen_lift`: the fastest speed over a grid; 1 ms setpoints; angle of the fourth
+//!    axis; where the pen is lifted
 //! 7. `grid`, `progress`, `jog`, `straight`: points of a path; motions without a path
 //! 8. `stretches`, `admission`, `outline`: parts of a plan; checks of vertices; the shaped path for other programs
 //! 9. `plan`, `merging`: speeds along the known path, down to rest at its end; vertices denser than the tolerance
@@ -36,6 +37,7 @@ mod limits;
 mod merging;
 mod micro_interpolator;
 mod outline;
+mod pen_lift;
 mod plan;
 mod progress;
 #[cfg(test)]

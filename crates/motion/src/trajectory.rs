@@ -14,6 +14,7 @@ use super::jog::{self, Jog};
 use super::limits::Limits;
 use super::merging::Merger;
 use super::micro_interpolator::{MicroInterpolator, PathSample, Profile};
+use super::pen_lift::PenLift;
 use super::plan::{GROWTH, Pace, Plan};
 use super::progress::Watch;
 use super::ring::Ring;
@@ -27,10 +28,6 @@ use crate::settings::Settings;
 
 /// Most vertices queued for shaping.
 pub const QUEUE_VERTICES: usize = QUEUE;
-/// Part of the lift below which a moving pen counts as down.
-const NEAR_PAPER: f64 = 0.5;
-/// Distance over the paper that a pen need not be lifted for, mm: less than the width of any line.
-const BESIDE_MM: f64 = 0.01;
 /// Bounds of the override, percent.
 /// The legs of a path that has starved wait for others until no vertex has come for this long, ms.
 const GATHER_MS: u32 = 240;
@@ -51,9 +48,13 @@ enum Activity {
     Path,
     Brake(Then),
     Lift(Straight, Then),
-    Parked { starved: bool, lifted: bool },
+    Parked {
+        starved: bool,
+        lifted: bool,
+    },
     Lower(Straight, Option<Then>),
-    Move(Straight),
+    /// A leg of a move, and where the move leads; nowhere else once it has been ended.
+    Move(Straight, Option<Vector>),
     Jog(Jog),
 }
 
@@ -70,7 +71,7 @@ pub struct Trajectory {
 struct Motion {
     area: WorkArea,
     limits: Limits,
-    pen_lift_mm: f64,
+    pen: PenLift,
     starve_dwell_ms: u16,
     dead_man_ms: u16,
     queue: Ring<Node, QUEUE>,
@@ -106,7 +107,7 @@ impl Trajectory {
             motion: Motion {
                 area: WorkArea::NONE,
                 limits: Limits::NONE,
-                pen_lift_mm: 0.0,
+                pen: PenLift::NONE,
                 starve_dwell_ms: 0,
                 dead_man_ms: 0,
                 queue: Ring::new(Node::NONE),
@@ -154,7 +155,7 @@ impl Trajectory {
         let motion = &mut self.motion;
         motion.area = area;
         motion.limits = limits;
-        motion.pen_lift_mm = settings.paper.pen_lift_mm;
+        motion.pen = PenLift::new(settings);
         motion.starve_dwell_ms = settings.motion.starve_dwell_ms;
         motion.dead_man_ms = settings.dead_man_ms;
         motion.merger.configure(settings);
@@ -266,7 +267,7 @@ impl Trajectory {
             Activity::Lower(_, None) => MotionState::Resuming,
             Activity::Lower(_, Some(Then::Dropped)) => MotionState::Stopping,
             Activity::Lower(_, Some(_)) => MotionState::Holding,
-            Activity::Move(_) => MotionState::Moving,
+            Activity::Move(..) => MotionState::Moving,
             Activity::Jog(_) => MotionState::Jogging,
         }
     }
@@ -359,21 +360,20 @@ impl Motion {
         self.queue.room().saturating_sub(usize::from(self.merger.holds()))
     }
 
-    /// Lets a path begin with lifting the pen if it is near the paper: on its way to the first vertex it would leave ink.
+    /// Lets a path begin with lifting the pen if it is near the paper: on its way to the first vertex it would leave ink. A pen
+    /// of its own is also lowered at the first vertex only.
     fn lift_first(&mut self, vertex: &Vertex) {
-        let mut above = self.here.point;
-        let (x, y) = (vertex.position.x_mm - above[0], vertex.position.y_mm - above[1]);
-        if x * x + y * y <= BESIDE_MM * BESIDE_MM {
+        let from = self.plan.sample().point;
+        let to = Vector::from(vertex.position);
+        let [lifted, above] = self.pen.over(&self.area, &from, &to);
+        let leaves = lifted.unwrap_or(from).into();
+        if check_way_in(&self.area, &leaves, &above.unwrap_or(to).into()).is_err() {
             return;
         }
-        let paper_mm = self.area.paper().z_at_mm(above[0], above[1]);
-        let near_paper = above[2] < paper_mm + NEAR_PAPER * self.pen_lift_mm;
-        above[2] = paper_mm + self.pen_lift_mm;
-        let is_free = || self.area.keeps_within(&self.here.point.into(), &above.into());
-        let leads_on = || check_way_in(&self.area, &above.into(), &vertex.position).is_ok();
-        if near_paper && is_free() && leads_on() {
+        // A path begins with an empty queue.
+        for point in [lifted, above].into_iter().flatten() {
             self.queue.push(Node {
-                point: above,
+                point,
                 pen: Pen::Up,
                 stroke: vertex.stroke,
                 count: 0,
@@ -389,7 +389,7 @@ impl Motion {
             Activity::Rest | Activity::Parked { .. } | Activity::Jog(_) => false,
             Activity::Path => self.starving_ms == 0 && !self.plan.pauses(),
             Activity::Brake(_) => !self.plan.pauses(),
-            Activity::Lift(..) | Activity::Lower(..) | Activity::Move(_) => true,
+            Activity::Lift(..) | Activity::Lower(..) | Activity::Move(..) => true,
         }
     }
 
@@ -448,7 +448,7 @@ impl Motion {
             (self.gathers, self.silent_ms) = (true, 0);
         }
         self.starving_ms = self.starving_ms.saturating_add(PERIOD_MS as u32);
-        if self.starving_ms > u32::from(self.starve_dwell_ms) && self.here.label.pen == Pen::Down {
+        if self.starving_ms > u32::from(self.starve_dwell_ms) && self.has_to_lift() {
             self.leave_path(Then::Starved);
         }
     }
@@ -474,11 +474,11 @@ impl Motion {
             }
             (MotionCommand::MoveTo(position), Activity::Rest) if self.is_empty() => self.move_to(position, Pen::Up),
             (MotionCommand::Pen(pen), Activity::Rest) if self.is_empty() => {
-                let mut position = Position::from(self.here.point);
-                let paper_mm = self.area.paper().z_at_mm(position.x_mm, position.y_mm);
+                let here = &self.here.point;
+                let mut position = Position::from(*here);
                 position.z_mm = match pen {
-                    Pen::Down => paper_mm,
-                    Pen::Up => paper_mm + self.pen_lift_mm,
+                    Pen::Down => self.area.paper().z_at_mm(position.x_mm, position.y_mm),
+                    Pen::Up => self.pen.up_mm(&self.area, here),
                 };
                 self.move_to(position, pen)
             }
@@ -518,11 +518,45 @@ impl Motion {
         self.area
             .check(&position)
             .map_err(|outside| target(RefusalReason::Outside(outside)))?;
-        check_way_in(&self.area, &self.here.point.into(), &position)
-            .map_err(|(at, outside)| target(RefusalReason::Leg { at, outside }))?;
+        let goal = Vector::from(position);
+        let [lifted, above] = self.pen.over_in_move(&self.area, &self.here.point, &goal);
+        let mut from = lifted.unwrap_or(self.here.point);
+        for to in above.into_iter().chain([goal]) {
+            check_way_in(&self.area, &from.into(), &to.into())
+                .map_err(|(at, outside)| target(RefusalReason::Leg { at, outside }))?;
+            from = to;
+        }
         let label = Label { pen, ..self.here.label };
-        self.activity = Activity::Move(self.straight(&position.into(), label));
+        self.move_on(goal, label);
         Ok(())
+    }
+
+    /// Begins the next leg of a move.
+    fn move_on(&mut self, goal: Vector, label: Label) {
+        let [lifted, above] = self.pen.over_in_move(&self.area, &self.here.point, &goal);
+        let to = lifted.or(above).unwrap_or(goal);
+        self.activity = Activity::Move(self.straight(&to, label), Some(goal));
+    }
+
+    /// Goes on after a leg of a move: to its goal if that is elsewhere. A move that has been ended leaves the pen up.
+    fn end_leg(&mut self, goal: Option<Vector>) {
+        let label = self.here.label;
+        let is_elsewhere = |goal: &Vector| length(&subtract(goal, &self.here.point)) >= LEG_MIN_MM;
+        if let Some(goal) = goal {
+            if is_elsewhere(&goal) {
+                self.move_on(goal, label);
+            } else {
+                self.drop_path();
+            }
+            return;
+        }
+        match self.pen.lifted_after_move(&self.area, &self.here.point) {
+            Some(above) => {
+                let label = Label { pen: Pen::Up, ..label };
+                self.activity = Activity::Move(self.straight(&above, label), None);
+            }
+            None => self.drop_path(),
+        }
     }
 
     fn straight(&self, to: &Vector, label: Label) -> Straight {
@@ -548,7 +582,10 @@ impl Motion {
                     *next = Some(then);
                 }
             }
-            Activity::Move(straight) => straight.brake(),
+            Activity::Move(straight, goal) => {
+                straight.brake();
+                *goal = None;
+            }
             Activity::Jog(jog) => jog.want(&[0.0; 3]),
         }
         Some(())
@@ -590,14 +627,17 @@ impl Motion {
         });
     }
 
+    /// Whether a rest on the path leaves the pen on the paper or near it.
+    fn has_to_lift(&self) -> bool {
+        self.here.label.pen == Pen::Down || self.pen.is_low(&self.area, &self.here.point)
+    }
+
     /// Leaves the path from a rest: lifts the pen if it is down.
     fn leave_path(&mut self, then: Then) {
-        let mut above = self.here.point;
-        let paper_mm = self.area.paper().z_at_mm(above[0], above[1]);
-        let near_paper = above[2] < paper_mm + NEAR_PAPER * self.pen_lift_mm;
-        above[2] += self.pen_lift_mm;
-        let is_free = || self.area.keeps_within(&self.here.point.into(), &above.into());
-        if (near_paper || self.here.label.pen == Pen::Down) && is_free() {
+        let lifted = self
+            .has_to_lift()
+            .then(|| self.pen.lifted(&self.area, &self.here.point));
+        if let Some(above) = lifted.flatten() {
             let label = Label {
                 pen: Pen::Up,
                 ..self.here.label
@@ -654,7 +694,7 @@ impl Motion {
                 let sample = self.plan.advance(TICK_S, Pace::Brake, observer);
                 (sample, self.plan.resting())
             }
-            Activity::Lift(straight, _) | Activity::Lower(straight, _) | Activity::Move(straight) => {
+            Activity::Lift(straight, _) | Activity::Lower(straight, _) | Activity::Move(straight, _) => {
                 straight.next_millisecond()
             }
             Activity::Jog(jog) => jog.next_millisecond(&self.area, &self.limits, self.dead_man_ms),
@@ -673,7 +713,8 @@ impl Motion {
                     let lift = self.straight(lower.from(), self.here.label);
                     self.activity = Activity::Lift(lift, then);
                 }
-                Activity::Move(_) | Activity::Jog(_) => self.drop_path(),
+                Activity::Move(_, goal) => self.end_leg(goal),
+                Activity::Jog(_) => self.drop_path(),
                 Activity::Rest | Activity::Path | Activity::Parked { .. } => {}
             }
         }

@@ -143,6 +143,59 @@ fn a_path_that_stops_coming_leaves_the_pen_on_the_paper_for_the_dwell() {
 }
 
 #[test]
+fn a_path_that_stops_coming_where_the_pen_has_come_down_lifts_it_after_the_dwell() {
+    let (path, _) = portrait(&mut Random::new(5), 1);
+    for (has_separate_pen, dwell_ms) in [(false, 0), (false, 100), (true, 0), (true, 100)] {
+        let mut settings = Settings::default();
+        settings.has_separate_pen = has_separate_pen;
+        settings.motion.pen_dwell_ms = dwell_ms;
+        for part in 2..12 {
+            let name = format!("separate: {has_separate_pen}, dwell {dwell_ms} ms, {part} vertices");
+            let mut run = Run::new(&settings, &path);
+            run.command(MotionCommand::Start);
+            run.feed(part);
+            for _ in 0..120 {
+                run.step();
+            }
+            assert!(
+                run.end()[2] > -848.0,
+                "{name}: the pen stays on the paper, {:?}",
+                run.end()
+            );
+            run.until(MotionState::Idle);
+            run.check_limits(&name);
+            assert_eq!(run.trajectory.executed() as usize, path.len(), "{name}");
+        }
+    }
+}
+
+#[test]
+fn a_path_held_above_the_paper_is_lifted_as_high_as_any_and_not_beyond() {
+    let mut settings = Settings::default();
+    let paper = settings.paper;
+    let up_mm = paper.pen_down_z_mm + paper.pen_lift_mm;
+    settings.work_area.z_high_mm = up_mm;
+    let path = [
+        vertex([-20.0, 0.0, -849.0], Pen::Up, 0),
+        vertex([20.0, 0.0, -849.0], Pen::Down, 0),
+    ];
+    for command in [MotionCommand::Hold, MotionCommand::Cancel] {
+        let mut run = Run::new(&settings, &path);
+        run.feed(usize::MAX);
+        run.command(MotionCommand::Start);
+        for _ in 0..6 {
+            run.step();
+        }
+        run.command(command);
+        for _ in 0..60 {
+            run.step();
+        }
+        assert!((run.end()[2] - up_mm).abs() < 1.0e-6, "{command:?}: {:?}", run.end());
+        assert_eq!(run.setpoints.last().unwrap().pen, Pen::Up, "{command:?}");
+    }
+}
+
+#[test]
 fn an_override_scales_the_speed_within_the_other_limits() {
     let settings = Settings::default();
     let path = [

@@ -220,6 +220,9 @@ pub struct Settings {
     pub motion: MotionLimits,
     /// Time after which a jog ends that is not repeated, ms.
     pub dead_man_ms: u16,
+    /// Whether something else than the robot's axes, say a solenoid, lowers the pen while the tool goes down to the paper, and
+    /// lifts it while the tool goes up.
+    pub has_separate_pen: bool,
 }
 
 impl Settings {
@@ -254,6 +257,7 @@ impl Default for Settings {
             paper: Paper::default(),
             motion: MotionLimits::default(),
             dead_man_ms: 100,
+            has_separate_pen: false,
         }
     }
 }
