@@ -339,7 +339,7 @@ pub enum IoError {
     /// An output is to lower the pen of a machine without an axis of the height.
     PenWithoutHeight,
     /// The type of the pen's output is not that of what lowers the pen, or does not hold its two positions; or 0, which an
-    /// output has without the controller, lowers the pen; or two pens need different words.
+    /// output has without the controller, presses the pen down; or two pens need different words.
     PenPositions {
         /// The point.
         io: u8,

@@ -39,7 +39,8 @@ pub struct PenLift {
     pub down_ms: u16,
     /// Time from the output's change until the pen has left the paper, ms; used with an output.
     pub up_ms: u16,
-    /// Value of the output with the pen down, in the terminal's units, -65535 to 65535, not 0; used with a servo.
+    /// Value of the output with the pen down, in the terminal's units, -65535 to 65535; used with a servo. 0, which the output
+    /// has without the controller, must be on the side of `up`: `down` is neither 0 nor between 0 and `up`.
     pub down: i32,
     /// Value of the output with the pen up, in the terminal's units, -65535 to 65535; used with a servo. The output also has it
     /// at every stop.
@@ -87,14 +88,14 @@ impl PenLift {
     }
 
     /// Bits of the pen's output with the pen up and down, at a point of this type; `None` if the type does not hold them, or
-    /// if they are equal, or if the pen would be down where nobody writes the output.
+    /// if they are equal, or if an output that nobody writes, which is 0, would press the pen down: at `down` or beyond it.
     pub(crate) fn words(&self, kind: IoType) -> Option<[u32; 2]> {
         // Longer values would not fit a configuration message that is full otherwise.
         let fits = |value: i32| value.unsigned_abs() <= u16::MAX.into();
         let raw = |value: i32| kind.raw(value.into()).filter(|_| fits(value));
         let [up, down] = match self.kind {
-            // Outputs that nobody writes are 0: that must not lower the pen.
-            PenLiftKind::Servo if self.down == 0 => return None,
+            // Zero and up are not on the same side of down.
+            PenLiftKind::Servo if self.down.cmp(&0) != self.down.cmp(&self.up) => return None,
             PenLiftKind::Servo => [raw(self.up)?, raw(self.down)?],
             _ => [0, 1],
         };
@@ -161,9 +162,20 @@ mod tests {
         assert_eq!(servo.words(IoType::I16), Some([0xFC18, 2_000]));
         let unusable = [IoType::Bool, IoType::U16, IoType::I8];
         assert!(unusable.iter().all(|kind| servo.words(*kind).is_none()));
-        // Without power its word is 0.
-        let fallen = PenLift { down: 0, ..servo };
-        assert_eq!(fallen.words(IoType::I16), None);
+        // Without power its word is 0: at the lower position or beyond it, and at the upper one, beyond it and before it.
+        for (down, up, is_usable) in [
+            (0, -1_000, false),
+            (0, 1_000, false),
+            (100, 2_000, false),
+            (-100, -2_000, false),
+            (1_000, 0, true),
+            (2_000, 1_000, true),
+            (-2_000, -1_000, true),
+            (-2_000, 1_000, true),
+        ] {
+            let servo = PenLift { down, up, ..servo };
+            assert_eq!(servo.words(IoType::I16).is_some(), is_usable, "down {down}, up {up}");
+        }
         let long = PenLift { down: 65_536, ..servo };
         assert_eq!(long.words(IoType::I32), None);
         let still = PenLift { up: 2_000, ..servo };

@@ -308,8 +308,8 @@ pub fn io_error(error: &IoError) -> String {
         }
         IoError::PenPositions { io } => format!(
             "io {}: the output that lowers the pen is a bit (type = \"bool\") with kind = \"output\" in [pen], and a word with \
-             kind = \"servo\", whose type holds both up and down, two different values; down is not 0, which an output has \
-             without the controller, and all pens have the same type",
+             kind = \"servo\", whose type holds both up and down, two different values; without the controller an output is 0, \
+             which must not press the pen down: down is neither 0 nor between 0 and up; all pens have the same type",
             one(io)
         ),
         IoError::LimitAxis { io, axes } => format!(
