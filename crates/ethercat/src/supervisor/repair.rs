@@ -1,6 +1,7 @@
 //! Repair: brings one slave back into use while the others continue.
 //!
-//! A slave may have kept its address and only left OP. Or it was switched off and is in INIT without an address: at its
+//! A slave may have kept its address and only left OP; if it was away, it is identified again, as another one may have that
+//! address. Or it was switched off and is in INIT without an address: at its
 //! old place, or at another place if a slave was plugged in or is still missing before it. The order of the slaves that
 //! kept their addresses shows between which of them it belongs. Or it returned at another's place, was taken for an extra
 //! slave there, and was put back with power: its serial number shows that.
