@@ -2,7 +2,8 @@
 //!
 //! Two equal drives whose cables are exchanged would move each other's axes, two equal terminals would exchange their
 //! contacts. What tells them apart is read before a slave leaves INIT: at bring-up for all of them together, and in a repair
-//! for the slave that has returned, even where it has kept its address and its state. A member that differs ends the bring-up; a terminal that differs is refused alone.
+//! for the slave that has returned, even where it has kept its address and its state. A member that differs ends the bring-up;
+//! a terminal that differs is refused alone.
 //!
 //! Invariant: a slave that differs from what is expected at its place is not used; the refusal names the place, and the
 //! other one if the slave there is the expected one, or the slave here is expected there.
