@@ -146,8 +146,10 @@ fn a_path_that_stops_coming_leaves_the_pen_on_the_paper_for_the_dwell() {
 fn a_path_that_stops_coming_where_the_pen_has_come_down_lifts_it_after_the_dwell() {
     let (path, _) = portrait(&mut Random::new(5), 1);
     for (has_separate_pen, dwell_ms) in [(false, 0), (false, 100), (true, 0), (true, 100)] {
-        let mut settings = Settings::default();
-        settings.has_separate_pen = has_separate_pen;
+        let mut settings = Settings {
+            has_separate_pen,
+            ..Settings::default()
+        };
         settings.motion.pen_dwell_ms = dwell_ms;
         for part in 2..12 {
             let name = format!("separate: {has_separate_pen}, dwell {dwell_ms} ms, {part} vertices");
