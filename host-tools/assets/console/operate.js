@@ -147,7 +147,9 @@ function override(link) {
   });
 }
 
-// The robot moves only while something is pressed: the message is repeated, and every way of releasing ends it.
+// The robot moves only while something is pressed: the message is repeated, and every way of releasing ends it. After a stop,
+// and after everything else that forbids jogs, a key has to be pressed anew. A key is known by its place on the keyboard: which
+// letter it is changes with Shift and NumLock while it is held.
 function jog(link) {
   const pressed = new Map();
   let timer = 0;
@@ -191,15 +193,18 @@ function jog(link) {
   });
   addEventListener("keydown", (event) => {
     const typing = event.target.matches?.("input:not([type=range]), textarea");
-    if (typing || event.ctrlKey || event.altKey || event.metaKey) return;
-    if (toggle.getAttribute("aria-pressed") !== "true" || !arrows[event.key]) return;
+    // Some systems tell nothing of a key that is released while one of these is held.
+    if (event.ctrlKey || event.altKey || event.metaKey) return releaseAll();
+    if (typing || toggle.getAttribute("aria-pressed") !== "true" || !arrows[event.key]) return;
     event.preventDefault();
-    if (!event.repeat) press(event.key, arrows[event.key]);
+    if (!event.repeat) press(event.code, arrows[event.key]);
   });
-  addEventListener("keyup", (event) => release(event.key));
+  addEventListener("keyup", (event) => release(event.code));
   addEventListener("blur", releaseAll);
   document.addEventListener("visibilitychange", releaseAll);
-  for (const name of ["closed", "control"]) link.on(name, () => link.controls || releaseAll());
+  for (const name of ["closed", "control", "status", "stopping"]) {
+    link.on(name, () => (link.controls && link.allows("jog") && !link.stopping.asked) || releaseAll());
+  }
 }
 
 // Where the sheet lies, from places where the pen touched it.

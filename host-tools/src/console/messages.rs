@@ -319,18 +319,26 @@ pub enum PathUse {
 
 /// A path in plan view, little-endian: kind, use, two bytes of padding; its number and its number of vertices as `u32`;
 /// for each vertex its index in the path as `u32`, bit 31 set if the leg to it is drawn, and x and y in mm as `f32`. A
-/// path with more than `vertices_max` vertices is thinned out.
+/// path with more than `vertices_max` vertices is thinned out; where its strokes are so many that twice as many are left, whole
+/// strokes are left out.
 pub fn path(kind: PathUse, number: u64, vertices: &[PathVertex], vertices_max: usize) -> Vec<u8> {
     const DRAWN: u32 = 1 << 31;
     let every = vertices.len().div_ceil(vertices_max.max(1)).max(1);
     let last = vertices.len().saturating_sub(1);
-    // A vertex at which the pen changes is always kept.
+    // A vertex at which the pen changes is kept with its stroke.
     let turns = |index: usize| {
         let pen = |index: usize| vertices.get(index).map(|vertex| vertex.pen);
         pen(index) != pen(index + 1) || index.checked_sub(1).is_some_and(|before| pen(before) != pen(index))
     };
     let kept = |(index, _): &(usize, &PathVertex)| index.is_multiple_of(every) || *index == last || turns(*index);
-    let kept: Vec<_> = vertices.iter().enumerate().filter(kept).collect();
+    let mut kept: Vec<_> = vertices.iter().enumerate().filter(kept).collect();
+    while kept.len() > 2 * vertices_max.max(1) {
+        let before = kept.len();
+        keep_every_other_stroke(&mut kept);
+        if kept.len() == before {
+            break;
+        }
+    }
     let mut bytes = vec![KIND_PATH, kind as u8, 0, 0];
     bytes.extend((number as u32).to_le_bytes());
     bytes.extend((kept.len() as u32).to_le_bytes());
@@ -343,6 +351,16 @@ pub fn path(kind: PathUse, number: u64, vertices: &[PathVertex], vertices_max: u
         }
     }
     bytes
+}
+
+/// Leaves out every other stroke with the way to it.
+fn keep_every_other_stroke(kept: &mut Vec<(usize, &PathVertex)>) {
+    let (mut stroke, mut before) = (0_u32, Pen::Up);
+    kept.retain(|(_, vertex)| {
+        stroke += u32::from(before == Pen::Down && vertex.pen == Pen::Up);
+        before = vertex.pen;
+        stroke.is_multiple_of(2)
+    });
 }
 
 /// Use of a picture in a binary message.
@@ -451,5 +469,32 @@ mod tests {
         assert!((100..250).contains(&count), "{count}");
         let lifts = bytes[12..].chunks(12).filter(|vertex| vertex[3] & 0x80 == 0).count();
         assert_eq!(lifts, 20);
+    }
+
+    #[test]
+    fn a_path_of_many_short_strokes_has_a_bounded_length() {
+        let vertices = |strokes: i32| -> Vec<_> {
+            let legs = |stroke| [(stroke, Pen::Up), (stroke, Pen::Down), (stroke + 1, Pen::Down)];
+            let legs = (0..strokes).flat_map(legs);
+            legs.map(|(x_mm, pen)| PathVertex {
+                position_um: [x_mm * 1_000, 0, 0],
+                pen,
+                stroke: 0,
+            })
+            .collect()
+        };
+        for strokes in [50, 70, 1_000, 90_000] {
+            let bytes = path(PathUse::Preview, 3, &vertices(strokes), 100);
+            let count = u32::from_le_bytes(bytes[8..12].try_into().unwrap()) as usize;
+            assert_eq!(bytes.len(), 12 + 12 * count);
+            assert!((90..=200).contains(&count), "{strokes} strokes: {count}");
+            // What is shown as drawn is a stroke, never the way to one.
+            let seen: Vec<_> = bytes[12..].chunks(12).collect();
+            for pair in seen.windows(2) {
+                let index = |vertex: &[u8]| u32::from_le_bytes(vertex[..4].try_into().unwrap()) & !(1 << 31);
+                let is_drawn = pair[1][3] & 0x80 != 0;
+                assert!(!is_drawn || index(pair[1]) - index(pair[0]) == 1, "{strokes} strokes");
+            }
+        }
     }
 }

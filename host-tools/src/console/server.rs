@@ -338,9 +338,13 @@ async fn file(State(door): State<Door>, request: Request) -> Response {
         Err(why) => return (StatusCode::BAD_REQUEST, why).into_response(),
     };
     let console = door.console.clone();
-    let preparing = door
-        .viewers
-        .spawn(async move { console.prepare(&name, wishes, content) });
+    let preparing = door.viewers.spawn(async move {
+        // Somebody else may have taken over while the file came.
+        match console.hub().control.is_held_by(viewer) {
+            true => console.prepare(&name, wishes, content),
+            false => Err("you do not have control any more; take it first".to_owned()),
+        }
+    });
     match preparing.await {
         Ok(Ok(())) => StatusCode::ACCEPTED.into_response(),
         Ok(Err(why)) => (StatusCode::CONFLICT, why).into_response(),

@@ -3,6 +3,7 @@
 mod browser;
 mod client;
 mod hostile;
+mod jog_keys;
 mod layers;
 mod page;
 mod photograph;
