@@ -249,6 +249,10 @@ pub mod disturbance {
     pub const EMERGENCY_STOP: u8 = 1 << 3;
     /// The clock source reads as failed: the board runs on its substitute.
     pub const CLOCK: u8 = 1 << 4;
+    /// The sample hangs in the middle of a drawing, in the variant of the emulated board that ends there.
+    pub const HANG_SAMPLE: u8 = 1 << 5;
+    /// The trajectory task hangs in the middle of a drawing, in the same variant.
+    pub const HANG_TRAJECTORY: u8 = 1 << 6;
 }
 
 /// A piece of a histogram.

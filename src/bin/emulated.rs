@@ -27,6 +27,7 @@ mod emulated {
     pub(crate) mod timer;
     pub(crate) mod uart;
     mod wake;
+    pub(crate) mod watchdog;
     pub(crate) mod wire;
 }
 mod shared;
@@ -53,10 +54,10 @@ mod app {
     use crate::shared::{critical, final_telegram, load, overruns, time};
     use core::future::poll_fn;
     use core::pin::pin;
-    use core::sync::atomic::Ordering;
+    use core::sync::atomic::{AtomicU8, Ordering};
     use etherpen::application::Mode;
     use etherpen::black_box::{Keep, Recorder};
-    use etherpen::board::{BoardState, EmergencyStopInput, Interlock, PortState};
+    use etherpen::board::{self, BoardState, EmergencyStopInput, Interlock, PortState};
     use etherpen::control::sampler::Sampler;
     use etherpen::controller::Channels;
     use etherpen::ethercat::frame_port::FramePort;
@@ -70,6 +71,8 @@ mod app {
 
     static SUPERVISOR: Release = Release::new();
     static NETWORK: Release = Release::new();
+    /// Tasks that hang from now on, bits of `disturbance`, in the variant that ends while drawing.
+    static HANGS: AtomicU8 = AtomicU8::new(0);
 
     #[shared]
     struct Shared {
@@ -112,7 +115,7 @@ mod app {
         };
         // SAFETY: as above. The controller's reset also resets the counter that the clock reads, so the clock comes
         // after.
-        let clock = unsafe { Clock::start() };
+        let clock = unsafe { Clock::start(bus.is_some()) };
         defmt::info!("emulated board, lockstep {=bool}", bus.is_some());
         parts.measurements.set_counts_per_s(CLOCK_HZ);
         parts.measurements.offer_disturbance();
@@ -166,6 +169,7 @@ mod app {
     fn sample(context: sample::Context) {
         let began_at = free_run();
         load::woke();
+        hang_on_request(disturbance::HANG_SAMPLE);
         let (frame_port, sampler) = (context.shared.frame_port, context.shared.sampler);
         final_telegram::prepare(sampler, frame_port);
         let wire = frame_port.driver_mut();
@@ -181,7 +185,12 @@ mod app {
             .emergency_stop
             .step(met & disturbance::EMERGENCY_STOP != 0);
         sampler.set_interlock(Interlock::of(stopped, met & disturbance::CLOCK != 0));
-        if sampler.sample(frame_port, elapsed_ns, missed) {
+        let fed = board::may_feed(overruns::TRAJECTORIES_DUE.load(Ordering::Relaxed));
+        let is_due = sampler.sample(frame_port, elapsed_ns, missed);
+        if fed {
+            frame_port.driver_mut().clock.watchdog.feed(began_at);
+        }
+        if is_due {
             overruns::trajectory_released();
             rtic::pend(Interrupt::FREE15);
         }
@@ -353,6 +362,7 @@ mod app {
         let preempting = || measurements.critical_counts().wrapping_add(load::urgent_counts());
         let (began_at, before) = (free_run(), preempting());
         let due = overruns::TRAJECTORIES_DUE.load(Ordering::Relaxed);
+        hang_on_request(disturbance::HANG_TRAJECTORY);
         context.local.trajectory.release();
         let taken = free_run().wrapping_sub(began_at);
         let preempted = preempting().wrapping_sub(before);
@@ -364,7 +374,12 @@ mod app {
     ///
     /// Period: 1 ms, pended by `record`. Priority: 3. Deadline: none. Overrun: releases merge; the
     /// host sees answers and telemetry late.
-    #[task(binds = FREE16, priority = 3, local = [link, health, mode_log: ModeLog = ModeLog::new(), drawn_ms: u32 = 0])]
+    #[task(
+        binds = FREE16,
+        priority = 3,
+        shared = [&measurements],
+        local = [link, health, mode_log: ModeLog = ModeLog::new(), drawn_ms: u32 = 0]
+    )]
     fn link(context: link::Context) {
         let link = context.local.link;
         link.set_board(BoardState {
@@ -373,19 +388,29 @@ mod app {
         });
         link.tick();
         let _ = context.local.mode_log.watch(link.mode(), link.fault());
-        panic_on_request(link, context.local.drawn_ms);
+        let bits = context.shared.measurements.disturbance();
+        end_on_request(link, bits, context.local.drawn_ms);
         context.local.health.tick(log::MILLISECONDS.load(Ordering::Relaxed));
         SUPERVISOR.release();
         NETWORK.release();
         rtic::pend(Interrupt::FREE17);
     }
 
-    /// The variant for the test of a panic ends in the middle of a drawing.
-    fn panic_on_request(link: &LinkTask, drawn_ms: &mut u32) {
-        if cfg!(feature = "panic-while-drawing") && link.mode() == Mode::Drawing {
+    /// The variant for the tests of an end in motion, in the middle of a drawing: the task hangs that `bits` name, or
+    /// this panics.
+    fn end_on_request(link: &LinkTask, bits: u8, drawn_ms: &mut u32) {
+        if cfg!(feature = "end-while-drawing") && link.mode() == Mode::Drawing {
             *drawn_ms = drawn_ms.wrapping_add(1);
-            assert!(*drawn_ms < 2_000, "this image was built to end here");
+            if *drawn_ms >= 2_000 {
+                HANGS.store(bits, Ordering::Relaxed);
+                assert!(bits != 0, "this image was built to end here");
+            }
         }
+    }
+
+    /// Hangs if the task of this bit is to hang.
+    fn hang_on_request(bit: u8) {
+        while cfg!(feature = "end-while-drawing") && HANGS.load(Ordering::Relaxed) & bit != 0 {}
     }
 
     /// Brings the bus up, watches it, repairs it.

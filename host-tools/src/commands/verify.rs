@@ -157,7 +157,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
 }
 
 /// Feature of the firmware of `tests/panic.rs`.
-const PANICS: &str = "panic-while-drawing";
+const ENDS: &str = "end-while-drawing";
 /// Cycles of the latency run.
 const LATENCY_CYCLES: u64 = 50_000;
 /// Figures that every verification checks against their bounds.
@@ -219,8 +219,8 @@ fn boards(has_failed: &AtomicBool) -> Result<(), ProgramError> {
         eprintln!("{}", image.display());
     }
     steps(&BOARDS, has_failed)?;
-    announce("firmware that panics, for its test");
-    setup::build_variant("emulated", &[PANICS])?;
+    announce("firmware that panics or hangs, for its tests");
+    setup::build_variant("emulated", &[ENDS])?;
     announce("latency with foreign frames");
     in_time()
 }

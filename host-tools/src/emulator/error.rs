@@ -29,7 +29,7 @@ pub enum EmulatorError {
         /// Error of the operating system.
         cause: io::Error,
     },
-    /// The emulator ended by itself; the firmware ends it when it panics.
+    /// The emulator ended by itself; the firmware ends it when it panics or hangs.
     Ended {
         /// How it ended.
         status: ExitStatus,

@@ -22,7 +22,7 @@ use std::sync::{Mutex, Once, PoisonError};
 
 /// File for the emulator's own output, in its working directory.
 const OUTPUT_FILE: &str = "qemu.out";
-/// File in which the firmware saves its black box when it panics.
+/// File in which the firmware saves its black box when it panics or hangs.
 const BLACK_BOX_FILE: &str = "black-box.bin";
 /// Length of that output shown in an error, bytes.
 const OUTPUT_SHOWN: usize = 2000;
@@ -187,7 +187,7 @@ impl Process {
         String::from_utf8_lossy(shown).trim().to_owned()
     }
 
-    /// Moves the black box that a panicking firmware has left to a file that outlives the emulator; `None` if there is
+    /// Moves the black box that a firmware has left at its end to a file that outlives the emulator; `None` if there is
     /// none.
     pub(crate) fn take_black_box(&self) -> Option<PathBuf> {
         let from = self.directory.join(BLACK_BOX_FILE);

@@ -22,6 +22,8 @@ const REASON_APPLICATION_EXIT: u32 = 0x2_0026;
 pub(crate) const EXIT_PANIC: u32 = 101;
 /// Exit code when the host closed a file the firmware cannot do without.
 pub(crate) const EXIT_HOST_GONE: u32 = 102;
+/// Exit code when the watchdog ended the firmware.
+pub(crate) const EXIT_WATCHDOG: u32 = 103;
 
 /// An open file of the host.
 #[derive(Clone, Copy)]

@@ -7,6 +7,7 @@
 use super::device::{CLOCK_HZ, Interrupt, RELEASES_PER_MS};
 use super::disturb;
 pub(crate) use super::lan9118::free_run;
+use super::watchdog::Watchdog;
 use etherpen::ethercat::clock::steering::CountCorrection;
 use etherpen::ethernet::lan9118::FREE_RUN_HZ;
 
@@ -54,10 +55,6 @@ const DUAL_TIMER: Layout = Layout {
     running: 1 << 7 | 1 << 5 | 1 << 1 | 1 << 0,
     reload: None,
 };
-
-/// Load register of the watchdog, which the machine starts at reset. It causes no interrupt, but virtual time only
-/// stops when no timer runs at all; a watchdog with a load of 0 is stopped.
-const WATCHDOG_LOAD: usize = 0x4000_8000;
 
 const fn apb_timer(base: usize) -> Layout {
     Layout {
@@ -148,6 +145,8 @@ pub(crate) struct Clock {
     pub(crate) deadline: Alarm,
     /// Releases `bus_frame` in lockstep.
     pub(crate) delivery: Alarm,
+    /// Ends a firmware that hangs.
+    pub(crate) watchdog: Watchdog,
     /// Nominal release of the present millisecond.
     released_at: u32,
     /// Counts from that release to the next one.
@@ -165,17 +164,18 @@ pub(crate) struct Clock {
 }
 
 impl Clock {
-    /// Takes the timers and lets the first millisecond begin [`START_PERIODS`] and one from now.
+    /// Takes the timers and lets the first millisecond begin [`START_PERIODS`] and one from now. Starts the watchdog if
+    /// `watched`.
     ///
     /// # Safety
     /// Call it once: the clock owns the timers.
-    pub(crate) unsafe fn start() -> Self {
-        // SAFETY: the register is that of a device that nothing else uses.
-        unsafe { core::ptr::write_volatile(WATCHDOG_LOAD as *mut u32, 0) };
+    pub(crate) unsafe fn start(watched: bool) -> Self {
         let mut clock = Self {
             sample: Alarm::new(&APB_TIMER_0, Interrupt::TIMER0),
             deadline: Alarm::new(&APB_TIMER_1, Interrupt::TIMER1),
             delivery: Alarm::new(&DUAL_TIMER, Interrupt::DUAL_TIMER),
+            // SAFETY: called once, as the caller promises.
+            watchdog: unsafe { Watchdog::take() },
             released_at: free_run(),
             period: PERIOD_COUNTS,
             next_delivery: None,
@@ -186,6 +186,10 @@ impl Clock {
         };
         clock.released_at = clock.released_at.wrapping_add(START_PERIODS * PERIOD_COUNTS);
         clock.sample.set(clock.released_at.wrapping_add(PERIOD_COUNTS));
+        if watched {
+            clock.watchdog.feed(clock.released_at);
+            clock.watchdog.resume();
+        }
         clock
     }
 
@@ -216,15 +220,17 @@ impl Clock {
         self.sample.pause();
         self.deadline.pause();
         self.delivery.pause();
+        self.watchdog.pause();
         disturb::pause();
     }
 
-    /// Restores the alarms and sets the one for a reply that has just arrived.
-    pub(crate) fn resume_and_deliver(&mut self) {
+    /// Restores the alarms and sets the one for the reply, which has just arrived, to a frame sent at `sent_at`.
+    pub(crate) fn resume_and_deliver(&mut self, sent_at: u32) {
         self.sample.resume();
         self.deadline.resume();
-        let usual = free_run().wrapping_add(DELIVERY_COUNTS);
+        let usual = sent_at.wrapping_add(DELIVERY_COUNTS);
         self.delivery.set(self.next_delivery.take().unwrap_or(usual));
+        self.watchdog.resume();
         disturb::resume();
     }
 

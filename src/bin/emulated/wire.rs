@@ -128,8 +128,8 @@ impl TxToken<'_> {
         NVIC::unpend(Interrupt::LAN9118);
     }
 
-    /// Sleeps until `wanted` frames wait in the controller.
-    fn await_replies(&mut self, wanted: u32) {
+    /// Sleeps until `wanted` frames, replies to one sent at `sent_at`, wait in the controller.
+    fn await_replies(&mut self, wanted: u32, sent_at: u32) {
         self.clock.pause();
         wake::woken_by(Interrupt::LAN9118, || {
             self.clear_arrival();
@@ -137,7 +137,7 @@ impl TxToken<'_> {
         });
         // The last of several may have arrived between two checks; the clock releases `bus_frame`, not this interrupt.
         self.clear_arrival();
-        self.clock.resume_and_deliver();
+        self.clock.resume_and_deliver(sent_at);
     }
 }
 
@@ -157,7 +157,7 @@ impl embassy_net_driver::TxToken for TxToken<'_> {
             let sent_at = free_run();
             let replies = bus.frame_sent(self.clock.time_us());
             if replies > 0 && self.waits {
-                self.await_replies(waiting + u32::from(replies));
+                self.await_replies(waiting + u32::from(replies), sent_at);
             }
             *self.lockstep_counts = self.lockstep_counts.wrapping_add(free_run().wrapping_sub(sent_at));
         }
