@@ -153,7 +153,7 @@ struct Common {
     wide_time: u16,
     /// Expected working counter of the clock's datagram.
     clock_slaves: u16,
-    /// Period of the exchange, see [`ReferenceClock::period`].
+    /// Period of the exchange, see [`ReferenceClock::period`]; 0 without a clock.
     period: u16,
 }
 
@@ -529,9 +529,16 @@ impl<const SLAVES: usize, M: Places> Telegram<SLAVES, M> {
 
     /// Lets the time go on that the clock's datagram carries, where the reference has not answered: it is written to the other
     /// slaves until another reference is named. A time of 0 is not known yet.
+    #[inline(always)]
+    pub(super) fn continue_clock(&mut self) {
+        if self.common.period != 0 {
+            self.advance_clock();
+        }
+    }
+
     #[cold]
     #[inline(never)]
-    pub(super) fn continue_clock(&mut self) {
+    fn advance_clock(&mut self) {
         if let Some(time_ns) = self.carried_ns().filter(|time_ns| *time_ns != 0) {
             self.set_clock(time_ns);
         }
