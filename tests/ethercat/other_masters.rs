@@ -134,6 +134,80 @@ fn another_product_that_has_the_address_of_a_lost_slave_is_refused_until_the_rig
 }
 
 #[test]
+fn the_address_of_a_lost_slave_at_another_place_is_taken_away_and_the_right_one_comes_back() {
+    let mut addressed = 0;
+    for seed in 0..24_u64 {
+        let mut random = Random::new(seed);
+        let mut chain = vec![Member::of_bytes(1, 2, true), Member::of_bytes(2, 1, true)];
+        let lost = (random.bits() % 3) as usize;
+        chain.insert(lost, Member::new(SlaveKind::Cia402, 0, 0));
+        // An unused slave, anywhere else in the chain.
+        let stranger = [lost + 1, 0, 3][(random.bits() % 3) as usize].min(3);
+        let lost = lost + usize::from(stranger <= lost);
+        chain.insert(stranger, Member::new(SlaveKind::Ax2000, 0, 0));
+        let what = format!("seed {seed}, the address of {lost} in {stranger}");
+        let used = |place: &usize| *place != stranger;
+        let mut bench = Bench::start(
+            &options(&chain),
+            setup(ExchangeKind::Split, (0..4).filter(used).collect()),
+        );
+        bench.operational();
+        bench.segment.inject(Fault::Power(lost + 1, 2 * NOTICED_MS));
+        bench.segment.inject(Fault::Remove(stranger + 1));
+        bench.run_ms(NOTICED_MS);
+        bench.segment.inject(Fault::Insert(stranger + 1));
+        bench.run_ms(1);
+        // Behind the slave without power there is none.
+        if bench.segment.slaves()[stranger].reached {
+            addressed += 1;
+            let station = (0x1001 + lost as u16).to_le_bytes();
+            bench.write_as_another(stranger as u16, 0x0010, &station);
+        }
+        bench.run_ms(3 * NOTICED_MS);
+        for _ in 0..2 {
+            bench.recover();
+        }
+        for slave in (0..4).filter(used) {
+            let state = bench.al_state(slave);
+            assert_eq!(state, AlState::Operational, "slave {slave}, {what}: {:#?}", bench.log);
+        }
+        let members: Vec<(usize, &Member)> = chain.iter().enumerate().filter(|(place, _)| used(place)).collect();
+        bench.assert_exchanges(&members, &mut random, &what);
+    }
+    assert!(addressed > 5, "{addressed}");
+}
+
+#[test]
+fn an_equal_device_with_the_address_of_a_lost_one_is_configured_anew() {
+    for (place, is_in_share) in [(0, true), (1, true), (2, true), (1, false)] {
+        let mut random = Random::new(place as u64);
+        let mut chain = vec![Member::of_bytes(1, 2, true), Member::of_bytes(2, 1, true)];
+        chain.insert(place, Member::new(SlaveKind::Cia402, 0, 0));
+        let what = format!("at {place}, mapping {is_in_share}");
+        let mut bench = Bench::start(&options(&chain), setup(ExchangeKind::Split, SlaveSet::ALL));
+        bench.operational();
+        bench.segment.inject(Fault::Remove(place + 1));
+        bench.run_ms(NOTICED_MS);
+        bench.segment.inject(Fault::Swap(place + 1, Product::Cia402));
+        bench.segment.inject(Fault::Insert(place + 1));
+        let position = place as u16;
+        bench.write_as_another(position, 0x0010, &(0x1001 + position).to_le_bytes());
+        if is_in_share {
+            // What the same master has set up for another machine.
+            bench.write_as_another(position, fmmu(5), &stale_fmmu(place, 0x1000, true));
+        }
+        bench.run_ms(NOTICED_MS);
+        bench.recover();
+        for slave in 0..chain.len() {
+            assert_eq!(bench.al_state(slave), AlState::Operational, "{what}: {:#?}", bench.log);
+        }
+        assert_eq!(bench.registers(position, fmmu(5), 16), [0; 16], "{what}");
+        let others: Vec<(usize, &Member)> = chain.iter().enumerate().filter(|(other, _)| *other != place).collect();
+        bench.assert_exchanges(&others, &mut random, &what);
+    }
+}
+
+#[test]
 fn all_units_of_a_slave_that_comes_with_the_address_of_another_are_cleared() {
     for seed in 0..32_u64 {
         let mut random = Random::new(seed);

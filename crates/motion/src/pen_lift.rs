@@ -2,7 +2,8 @@
 //!
 //! A pen that the axes lift touches where the tool is low. A pen of its own, which a solenoid or a servo lowers, is on its way
 //! while the tool goes down to the paper or up from it, and stands anywhere below the height of a lifted pen: a tool with such
-//! a pen counts as low from there on, and goes neither down nor up beside its place.
+//! a pen counts as low from there on. Moves, and the way to a path's first vertex, lead neither down nor up beside their
+//! places; jogs go where they are steered.
 
 use super::work_area::WorkArea;
 use crate::robots::vector::{Vector, subtract};
@@ -59,8 +60,8 @@ impl PenLift {
         area.keeps_within(&(*here).into(), &above.into()).then_some(above)
     }
 
-    /// Places with the pen up that a way with the pen up leads over, of which the tool stops at each: over its beginning, and
-    /// with a pen of its own over its end.
+    /// Places with the pen up that a way with the pen up leads over: over its beginning, and with a pen of its own over its end. A
+    /// move stops at each, a path passes them as it passes other corners.
     pub(crate) fn over(&self, area: &WorkArea, from: &Vector, to: &Vector) -> [Option<Vector>; 2] {
         let [x, y, _] = subtract(to, from);
         if x * x + y * y <= BESIDE_MM * BESIDE_MM {

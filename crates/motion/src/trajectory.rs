@@ -366,8 +366,10 @@ impl Motion {
         let from = self.plan.sample().point;
         let to = Vector::from(vertex.position);
         let [lifted, above] = self.pen.over(&self.area, &from, &to);
-        let leaves = lifted.unwrap_or(from).into();
-        if check_way_in(&self.area, &leaves, &above.unwrap_or(to).into()).is_err() {
+        let is_free = |to: &Vector| check_way_in(&self.area, &lifted.unwrap_or(from).into(), &(*to).into()).is_ok();
+        // Where the way at the height of a lifted pen is not free, it goes down on its way to the first vertex.
+        let above = above.filter(|above| self.area.keeps_within(&(*above).into(), &to.into()) && is_free(above));
+        if above.is_none() && !is_free(&to) {
             return;
         }
         // A path begins with an empty queue.

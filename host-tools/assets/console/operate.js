@@ -161,7 +161,7 @@ function jog(link) {
   };
   const send = () => link.send({ type: "jog", velocity_mm_s: velocity() });
   const press = (key, direction) => {
-    if (!link.controls || !link.allows("jog")) return;
+    if (!link.controls || !link.allows("jog") || link.stopping.asked) return;
     pressed.set(key, direction);
     send();
     timer ||= setInterval(send, JOG_MS);
@@ -181,7 +181,7 @@ function jog(link) {
     });
     for (const name of ["pointerup", "pointercancel", "lostpointercapture", "contextmenu"]) button.addEventListener(name, () => release(button));
     button.addEventListener("keydown", (event) => {
-      if (event.key === " " || event.key === "Enter") press(button, direction);
+      if (!event.repeat && (event.key === " " || event.key === "Enter")) press(button, direction);
     });
     for (const name of ["keyup", "blur"]) button.addEventListener(name, () => release(button));
   }

@@ -340,7 +340,8 @@ async fn file(State(door): State<Door>, request: Request) -> Response {
     let console = door.console.clone();
     let preparing = door.viewers.spawn(async move {
         // Somebody else may have taken over while the file came.
-        match console.hub().control.is_held_by(viewer) {
+        let holds = console.hub().control.is_held_by(viewer);
+        match holds {
             true => console.prepare(&name, wishes, content),
             false => Err("you do not have control any more; take it first".to_owned()),
         }

@@ -25,6 +25,8 @@ const RUNNING: u32 = 1 << 0;
 /// Timeout, ms: that of board nucleo.
 const TIMEOUT_MS: u32 = 50;
 const TIMEOUT_COUNTS: u32 = CLOCK_HZ / 1_000 * TIMEOUT_MS;
+/// Least time that is left when it goes on, counts: longer than the three writes that let it go on.
+const LEFT_COUNTS_MIN: u32 = 100;
 /// Counts in which a load of 1 has expired twice.
 const STOPPED_IN_COUNTS: u32 = 5;
 const COUNTS_PER_US: u32 = CLOCK_HZ / 1_000_000;
@@ -75,8 +77,9 @@ impl Watchdog {
     pub(crate) fn resume(&mut self) {
         let due = FED_AT.load(Ordering::Relaxed).wrapping_add(TIMEOUT_COUNTS);
         let left = due.wrapping_sub(free_run());
-        let is_over = left == 0 || left > u32::MAX / 2;
-        write(LOAD, if is_over { 1 } else { left });
+        // A time in the past is a large number.
+        let left = if left > u32::MAX / 2 { 0 } else { left };
+        write(LOAD, left.max(LEFT_COUNTS_MIN));
         write(CLEAR, 1);
         write(CONTROL, RUNNING);
     }

@@ -513,8 +513,9 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         };
         let (station, share) = (slave.station(), process_data::share(slave));
         let is_foreign = discovery::maps_outside(&mut self.port, station, share).await == Ok(true);
-        if is_foreign {
-            let _ = self.make_stranger(station).await;
+        if is_foreign && self.make_stranger(station).await.is_err() {
+            // The chain may be changing, or too long to be looked through.
+            let _ = discovery::clear_fmmus(&mut self.port, station).await;
         }
         is_foreign
     }

@@ -232,7 +232,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     }
 
     /// Whether the switches of any member are compared.
-    fn compares_switches(&self) -> bool {
+    pub(super) fn compares_switches(&self) -> bool {
         self.slaves.iter().any(|slave| self.expected(slave).switch != 0)
     }
 

@@ -43,16 +43,20 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return Ok(());
         };
         let (station, at) = (slave.station(), |step| Failure::of(slave.position, step));
-        let places = self.places().await.map_err(at(Step::Locate))?;
+        let mut places = self.places().await.map_err(at(Step::Locate))?;
+        let returned = match slave.condition == Condition::Returned && places.contains(&station) {
+            true => self.identify_returned(number).await.map_err(at(Step::Identify))?,
+            false => Returned::Same,
+        };
+        if returned == Returned::Other {
+            places = self.places().await.map_err(at(Step::Locate))?;
+        }
         match places.iter().position(|there| *there == station) {
             Some(place) => {
                 self.is_in_order(&places, place, number).map_err(at(Step::Locate))?;
-                if slave.condition == Condition::Returned {
-                    self.is_the_same(number).await.map_err(at(Step::Identify))?;
-                }
                 if slave.is_refused_terminal() {
                     self.read_again(number).await.map_err(at(Step::Identify))?;
-                } else if self.resume(number).await.is_ok() {
+                } else if returned == Returned::Same && self.resume(number).await.is_ok() {
                     return Ok(());
                 }
             }
@@ -70,27 +74,52 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         self.reach_operational(number).await
     }
 
-    /// Whether the slave that answers at the address of a lost one is that slave: masters give the same addresses, so one that
-    /// comes from another bus with power may have it. Another one loses the address.
-    async fn is_the_same(&mut self, number: usize) -> Result<(), BusError> {
+    /// Which slave answers at the address of a lost one: masters give the same addresses, so one that comes from another bus with
+    /// power may have it. Another one loses the address.
+    ///
+    /// # Errors
+    /// The slave cannot be read in INIT either.
+    pub(super) async fn identify_returned(&mut self, number: usize) -> Result<Returned, BusError> {
         let Some(slave) = self.slaves.get(number).copied() else {
-            return Ok(());
+            return Ok(Returned::Same);
         };
         let station = slave.station();
-        // From PREOP on its processor has the memory.
+        if self.compares_switches() {
+            // Above PREOP it may not tell its number.
+            state::change(&mut self.port, station, AlState::Init).await?;
+        }
+        // From PREOP on its processor has the memory, and some read it for the master only in INIT.
         information::take(&mut self.port, station).await;
-        let fixed = information::fixed_part(&mut self.port, station).await?;
+        let fixed = match information::fixed_part(&mut self.port, station).await {
+            Ok(fixed) => fixed,
+            Err(_) => {
+                state::change(&mut self.port, station, AlState::Init).await?;
+                information::take(&mut self.port, station).await;
+                information::fixed_part(&mut self.port, station).await?
+            }
+        };
         let checked = match self.is_same(&slave, &fixed.identity) {
-            Ok(()) => self.check_returned(number, station, fixed.identity).await.map(|_| ()),
-            other => other,
+            Ok(()) => self.check_returned(number, station, fixed.identity).await,
+            Err(error) => Err(error),
+        };
+        let known = match checked {
+            Ok(known) => known,
+            Err(BusError::Identity { .. } | BusError::WrongSlave { .. }) => {
+                self.make_stranger(station).await?;
+                return Ok(Returned::Other);
+            }
+            Err(error) => return Err(error),
         };
         information::give_to_slave(&mut self.port, station).await;
-        match (&checked, self.slaves.get_mut(number)) {
-            (Ok(()), Some(slave)) => slave.condition = Condition::LeftOperational,
-            (Err(BusError::Identity { .. } | BusError::WrongSlave { .. }), _) => self.make_stranger(station).await?,
-            _ => {}
+        let is_new = has_other_serial(&slave, &fixed.identity);
+        if is_new {
+            self.clocks.was_off(number);
+            self.take_place(number, fixed, known);
         }
-        checked
+        if let Some(slave) = self.slaves.get_mut(number) {
+            slave.condition = Condition::LeftOperational;
+        }
+        Ok(if is_new { Returned::Equal } else { Returned::Same })
     }
 
     /// Reads the information memory of a terminal that was refused or could not be read: what was read before may have been
@@ -400,7 +429,11 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         };
         let before = (place + places.len()).checked_sub(there.len());
         let station = before.and_then(|place| places.get(place)).copied().unwrap_or(0);
-        let has_shifted = there.len() != places.len();
+        // Where all before the place are as they were, one behind it has dropped out.
+        let has_shifted = match there.len() < places.len() {
+            true => there.get(..place) != places.get(..place),
+            false => there.len() > places.len(),
+        };
         let is_gone = has_shifted && self.number_of(station).is_some() && !there.contains(&station);
         if is_gone { station } else { 0 }
     }
@@ -499,6 +532,17 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             None => Ok(()),
         }
     }
+}
+
+/// Which slave answers at the address of one that was lost.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Returned {
+    /// The one that was lost, as far as its identity tells.
+    Same,
+    /// One of the same product with another serial number: it may have been set up for another machine.
+    Equal,
+    /// Another one; it is a stranger now.
+    Other,
 }
 
 /// A station address that two places of a chain have.

@@ -72,7 +72,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let belongs_here = |slave: &Slave<F>| {
             let between = self.strangers_between(usize::from(slave.position), places);
             // Another slave may have taken its place since the last inspection.
-            let is_missing = slave.condition == Condition::Lost || !places.contains(&slave.station());
+            let is_away = matches!(slave.condition, Condition::Lost | Condition::Returned);
+            let is_missing = is_away || !places.contains(&slave.station());
             is_missing && between.contains(&(place as u16))
         };
         let may_be = |slave: &Slave<F>| belongs_here(slave) && self.is_same(slave, &fixed.identity).is_ok();

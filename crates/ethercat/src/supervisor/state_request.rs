@@ -14,7 +14,8 @@ use super::super::slave::Condition;
 use super::super::state::{self, AlReport, AlState};
 use super::super::wire::sii::PROTOCOL_COE;
 use super::Failure;
-use super::bus::Bus;
+use super::bus::{Bus, LOST_SLAVE};
+use super::repair::Returned;
 
 impl From<Failure> for ServiceError {
     fn from(failure: Failure) -> Self {
@@ -41,6 +42,14 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return Err(ServiceError::Interrupted);
         };
         let station = slave.station();
+        if slave.condition == Condition::Returned {
+            match self.identify_returned(number).await? {
+                Returned::Same => {}
+                // It may have been set up for another machine.
+                Returned::Equal => state::change(&mut self.port, station, AlState::Init).await?,
+                Returned::Other => return Err(LOST_SLAVE.into()),
+            }
+        }
         let before = match state::acknowledge(&mut self.port, station).await {
             Ok(report) => report,
             // Only INIT clears a flag that stays set.

@@ -312,6 +312,26 @@ fn a_mark_is_taken_back_where_another_slave_has_lost_its_address_meanwhile() {
 }
 
 #[test]
+fn a_mark_set_while_a_slave_drops_out_gives_no_slave_the_address_of_another() {
+    let address = |number: u16| STATION_BASE + number;
+    // The second slave is back without its address, and one behind it drops out: nothing before the mark has changed.
+    // The first slave drops out: the mark goes to the third one, which gets its address back.
+    for (there, expected) in [
+        ([address(0), 0, address(2)], [address(0), 0, address(2)]),
+        ([0, address(2), address(3)], [0, address(2), address(3)]),
+    ] {
+        let chain = [address(0), 0, address(2), address(3)].map(Device::at);
+        let (mut outside, mut bus) = Outside::with_bus(&chain);
+        bus.slaves = (0..4).map(Slave::at).collect();
+        bus.ordered = 4;
+        let places = outside.run(bus.places()).unwrap();
+        outside.rearranged = Some(there.map(Device::at).to_vec());
+        assert!(outside.run(bus.mark(1, &places)).is_err());
+        assert_eq!(outside.stations(), expected);
+    }
+}
+
+#[test]
 fn a_slave_that_was_put_elsewhere_with_its_mark_is_not_the_one_at_its_former_place() {
     let chain = [STATION_BASE, 0, 0].map(Device::at);
     let (mut outside, mut bus) = Outside::with_bus(&chain);
