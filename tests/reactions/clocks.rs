@@ -150,10 +150,6 @@ const WITHOUT: [(&str, &str); 10] = [
         "it takes long, and the faults are those of io, which run with clocks",
     ),
     (
-        "whatever_stops_the_robot_in_position_mode_the_next_drawing_comes_out_right",
-        "it takes minutes, and the faults are those of other modules, which run with clocks",
-    ),
-    (
         "a_pen_whose_way_is_cancelled_at_any_millisecond_is_up_and_leaves_no_ink_elsewhere",
         "it scans every millisecond, and the setpoints do not depend on clocks",
     ),
@@ -164,6 +160,10 @@ const WITHOUT: [(&str, &str); 10] = [
     (
         "a_drawing_held_on_the_way_down_has_its_pen_up_and_then_draws_its_whole_line",
         "it scans every millisecond, and the setpoints do not depend on clocks",
+    ),
+    (
+        "whatever_stops_the_robot_in_position_mode_the_next_drawing_comes_out_right",
+        "it takes minutes, and the faults are those of other modules, which run with clocks",
     ),
 ];
 
