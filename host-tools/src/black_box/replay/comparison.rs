@@ -220,6 +220,9 @@ impl<'a> Comparison<'a> {
         }
         // By how much an axis moved before its first position is not recorded.
         let is_known = self.seen_ms.iter().all(|ms| *ms == 0 || *ms > STANDSTILL_MS);
+        // The last speed of an axis that was silent all the time is not recorded either: it may have been no standstill.
+        let drives = usize::from(self.config.bus.drives);
+        let is_known = is_known && (now.standstill || self.seen_ms.iter().take(drives).all(|ms| *ms > 0));
         if report.standstill != now.standstill && is_known && index > SETTLED_MS + usize::from(STANDSTILL_MS) {
             return words("standstill", &now.standstill, &report.standstill);
         }
