@@ -331,8 +331,8 @@ impl Orders {
             Command::Draw { .. } | Command::Resume => &mut self.path,
             Command::Hold => &mut self.holding,
             Command::Cancel => &mut self.cancelling,
-            Command::Override { .. } => {
-                self.speed_override.refuse();
+            Command::Override { percent } => {
+                self.speed_override.refuse(percent);
                 return;
             }
             Command::Home | Command::HomeAt { .. } | Command::Stop | Command::Acknowledge => return,

@@ -30,8 +30,11 @@ impl Override {
         }
     }
 
-    pub(crate) fn refuse(&mut self) {
-        self.asked = 0;
+    /// Takes that an override was refused. Others whose answer is not there yet, or was lost, may be in effect.
+    pub(crate) fn refuse(&mut self, percent: u8) {
+        if percent == self.asked {
+            self.asked = 0;
+        }
     }
 
     /// Takes an override that was accepted; the path has slowed down to it at `until_ms`.
@@ -53,5 +56,24 @@ impl Override {
         let (before, until_ms) = self.before;
         let before = if now_ms <= until_ms { before } else { 0 };
         self.present.max(before).max(self.asked)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_override_without_an_answer_may_be_in_effect_until_a_later_one_is() {
+        let mut speed = Override::default();
+        speed.ask(165);
+        speed.ask(3);
+        speed.refuse(3);
+        assert_eq!(speed.largest(0), 165);
+        speed.accept(50, 10, 20);
+        assert_eq!((speed.largest(20), speed.largest(21)), (165, 50));
+        speed.ask(120);
+        speed.refuse(120);
+        assert_eq!(speed.largest(21), 50);
     }
 }
