@@ -141,7 +141,7 @@ enum Fate {
     /// The others answer, the reference does not.
     Silent,
     Lost,
-    /// As silent, and the next frame is that of a new plan.
+    /// The reference does not answer, and the next frame is that of a new plan.
     NewPlan,
 }
 

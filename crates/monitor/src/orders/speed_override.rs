@@ -30,7 +30,7 @@ impl Override {
         }
     }
 
-    /// Takes that an override was refused. Others whose answer is not there yet, or was lost, may be in effect.
+    /// Notes that an override was refused. Others whose answer is not there yet, or was lost, may be in effect.
     pub(crate) fn refuse(&mut self, percent: u8) {
         if percent == self.asked {
             self.asked = 0;
