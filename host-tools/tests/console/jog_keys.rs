@@ -20,7 +20,17 @@ fn hold(browser: &mut Browser, name: &str, code: &str) {
     mode(browser, "Moving");
 }
 
-/// Asserts that the motors come to rest without anything else, and stay there.
+/// Has the page count the jogs that it sends from now on.
+fn count_jogs(browser: &mut Browser) {
+    browser.value(
+        "{ globalThis.jogs = 0; globalThis.plainly ??= etherpen.link.send; etherpen.link.send = function (request) { \
+         if (request.type === 'jog' && request.velocity_mm_s.some((part) => part !== 0)) globalThis.jogs += 1; \
+         return globalThis.plainly.call(this, request); }; }",
+    );
+}
+
+/// Asserts that the motors come to rest and stay there, and that no jog was sent since they are counted: without that, the
+/// robot would go on to the end of its area.
 fn assert_stands(browser: &mut Browser, rig: &Rig) {
     browser.until("etherpen.link.state.status.mode !== 'Moving' && etherpen.link.state.status.mode !== 'Stopping'");
     let angles_rad = |rig: &Rig| rig.cell.state().joints.0;
@@ -29,6 +39,7 @@ fn assert_stands(browser: &mut Browser, rig: &Rig) {
     for (before, now) in before_rad.iter().zip(angles_rad(rig)) {
         assert!((before - now).abs() < 1.0e-3, "{before} rad, then {now} rad");
     }
+    assert_eq!(browser.value("globalThis.jogs"), 0);
 }
 
 #[test]
@@ -42,10 +53,12 @@ fn the_robot_stands_once_a_key_is_released_whatever_letter_it_is_by_then() {
     // NumLock or Shift have changed its letter meanwhile.
     hold(browser, "ArrowUp", "Numpad8");
     key(browser, "keyUp", "8", "Numpad8", 0);
+    count_jogs(browser);
     assert_stands(browser, &rig);
     // Nothing is told of a key that is released while Meta is held.
     hold(browser, "ArrowDown", "ArrowDown");
     key(browser, "rawKeyDown", "Meta", "MetaLeft", 4);
+    count_jogs(browser);
     assert_stands(browser, &rig);
     key(browser, "keyUp", "Meta", "MetaLeft", 0);
     assert!(browser.errors.is_empty(), "{:?}", browser.errors);
@@ -62,6 +75,7 @@ fn a_key_held_through_a_stop_moves_nothing_when_power_is_back() {
     hold(browser, "ArrowUp", "ArrowUp");
     browser.press("#stop");
     mode(browser, "Fault");
+    count_jogs(browser);
     assert_stands(browser, &rig);
     acknowledge(browser);
     enable(browser);
@@ -72,6 +86,7 @@ fn a_key_held_through_a_stop_moves_nothing_when_power_is_back() {
     key(browser, "keyUp", "ArrowUp", "ArrowUp", 0);
     hold(browser, "ArrowDown", "ArrowDown");
     key(browser, "keyUp", "ArrowDown", "ArrowDown", 0);
+    count_jogs(browser);
     assert_stands(browser, &rig);
     assert!(browser.errors.is_empty(), "{:?}", browser.errors);
 }
