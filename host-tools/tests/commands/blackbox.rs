@@ -48,7 +48,8 @@ impl FrameSource for Frames {
     }
 }
 
-/// The memory of a run that ended with a fault and a panic.
+/// The memory of a run that ended with a fault and a panic. It contradicts itself: setpoints were followed while the
+/// robot was idle.
 fn image() -> Vec<u8> {
     let memory = Box::new(Memory::new());
     memory.start(Keep::Nothing);
@@ -62,6 +63,7 @@ fn image() -> Vec<u8> {
     for cycle in 1..=RUN_MS {
         let report = CycleReport {
             cycle,
+            following: true,
             ..CycleReport::default()
         };
         assert!(reports.enqueue(report).is_ok());
