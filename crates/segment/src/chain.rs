@@ -101,6 +101,14 @@ impl Chain {
         self.show_links();
     }
 
+    /// Time to the next SYNC0 pulse, ns: that of the middle one of the slaves that generate them; `None` without one. A slave
+    /// whose clock is wrong does not lead the others.
+    pub(crate) fn pulse_ahead_ns(&self) -> Option<u64> {
+        let mut ahead_ns: Vec<u64> = self.slaves.iter().filter_map(Slave::pulse_ahead_ns).collect();
+        ahead_ns.sort_unstable();
+        ahead_ns.get(ahead_ns.len() / 2).copied()
+    }
+
     /// Samples the inputs of this millisecond, after every motor has moved.
     pub(crate) fn sample(&mut self) {
         for (one, other, left_ms) in core::mem::take(&mut self.exchanges) {

@@ -30,6 +30,8 @@ use std::collections::BTreeMap;
 const STEP_US: u64 = 1000;
 /// Distance of the boundaries from the whole milliseconds, microseconds.
 const BOUNDARY_US: u64 = STEP_US / 2;
+/// Distance of a boundary from the SYNC0 pulses before it, microseconds: more than settled clocks differ.
+const BEHIND_PULSE_US: u64 = 2;
 /// Silence of the master after which its next frame sets the boundaries again, microseconds.
 const SILENCE_US: u64 = 100_000;
 /// Longest time that one call catches up, ms; a longer jump of the clock is passed over.
@@ -200,7 +202,7 @@ impl<L: Load> Segment<L> {
         let mut boundary_us = self.boundary_us.unwrap_or(first_us).max(earliest_us);
         while boundary_us <= time_us && boundary_us < u64::MAX {
             self.step(boundary_us.saturating_mul(1000));
-            boundary_us = boundary_us.saturating_add(STEP_US);
+            boundary_us = boundary_us.saturating_add(self.step_us());
         }
         self.boundary_us = Some(boundary_us);
     }
@@ -372,6 +374,19 @@ impl<L: Load> Segment<L> {
             self.boundary_us = Some(time_us.saturating_add(BOUNDARY_US));
         }
         self.last_frame_us = Some(time_us.max(self.last_frame_us.unwrap_or(0)));
+    }
+
+    /// Time to the next boundary, microseconds: it is just behind the pulses of the slaves that obey SYNC0, and otherwise a
+    /// millisecond from the last one.
+    fn step_us(&self) -> u64 {
+        let Some(ahead_ns) = self.chain.pulse_ahead_ns() else {
+            return STEP_US;
+        };
+        let behind_us = (ahead_ns.div_ceil(1000) + BEHIND_PULSE_US) % STEP_US;
+        match behind_us > BOUNDARY_US {
+            true => behind_us,
+            false => behind_us + STEP_US,
+        }
     }
 
     fn step(&mut self, now_ns: u64) {

@@ -168,6 +168,12 @@ impl DistributedClock {
         std::mem::take(&mut self.unseen)
     }
 
+    /// Time to the next SYNC0 pulse, ns; `None` while none is generated.
+    pub(crate) fn pulse_ahead_ns(&self) -> Option<u64> {
+        let next_ns = self.next_ns.filter(|_| self.state() == SyncState::Running)?;
+        Some(next_ns.saturating_sub(self.system_ns()))
+    }
+
     /// State of the SYNC unit.
     pub(crate) fn state(&self) -> SyncState {
         match (self.activation & ACTIVATE != 0, self.activation & ACTIVATE_SYNC0 != 0) {

@@ -371,6 +371,11 @@ impl Controller {
         self.clock.take_pulses()
     }
 
+    /// Time to the next SYNC0 pulse, ns; `None` while none is generated.
+    pub(crate) fn pulse_ahead_ns(&self) -> Option<u64> {
+        self.clock.pulse_ahead_ns()
+    }
+
     /// System time of the clock at a true time of the segment, ns; `None` without a clock.
     pub(crate) fn system_at_ns(&self, true_ns: u64) -> Option<u64> {
         self.clock.system_at_ns(true_ns)

@@ -62,6 +62,8 @@ pub(crate) struct Slave {
     hung_for_ms: u64,
     outputs_received: bool,
     has_outputs: bool,
+    /// Whether a SYNC0 pulse came since the last millisecond: then the device takes its outputs and shows its inputs.
+    is_pulsed: bool,
     files: FileServer,
     /// Remaining time to the announcement of an Ethernet address, ms.
     announce_ms: Option<u64>,
@@ -120,6 +122,7 @@ impl Slave {
             hung_for_ms: 0,
             outputs_received: false,
             has_outputs: false,
+            is_pulsed: false,
             files: FileServer::new(place.password, device_writes_in_bootstrap),
             announce_ms: None,
         };
@@ -194,11 +197,14 @@ impl Slave {
         self.refusals.push((state, code));
     }
 
-    /// Handles the arrival of a frame that will come back to the ports at `back_ns`; earlier SYNC0 pulses take effect
-    /// first.
+    /// Handles the arrival of a frame that will come back to the ports at `back_ns`.
     pub(crate) fn begin_frame(&mut self, arrival_ns: u64, back_ns: [Option<u64>; PORTS]) {
         self.controller.begin_frame(arrival_ns, back_ns);
-        self.obey_pulses();
+    }
+
+    /// Time to the slave's next SYNC0 pulse, ns; `None` while it generates none.
+    pub(crate) fn pulse_ahead_ns(&self) -> Option<u64> {
+        self.controller.pulse_ahead_ns().filter(|_| self.is_powered())
     }
 
     /// True time up to which the slave's controller has run, ns.
@@ -319,7 +325,7 @@ impl Slave {
             self.device.step(false);
             return;
         }
-        self.obey_pulses();
+        self.is_pulsed = self.controller.take_pulses() > 0;
         if self.is_hung() {
             match self.hung_for_ms <= POWER_STAGE_WATCHDOG_MS {
                 true => self.device.coast(),
@@ -331,7 +337,7 @@ impl Slave {
         self.serve_mailbox();
         self.watch();
         self.change_state();
-        if self.controller.sync_state() == SyncState::Off {
+        if self.is_pulsed || self.controller.sync_state() == SyncState::Off {
             self.has_outputs = self.take_outputs();
         }
         let operational = self.has_outputs && self.application.state() == AlState::Operational;
@@ -347,22 +353,13 @@ impl Slave {
         if self.is_alone() {
             return;
         }
-        if self.controller.sync_state() != SyncState::Running {
+        if self.is_pulsed || self.controller.sync_state() != SyncState::Running {
             self.put_inputs();
         }
         while let Some((code, register, detail)) = self.device.take_emergency() {
             if self.application.state() >= AlState::PreOperational {
                 self.mailbox.emergency(code, register, detail);
             }
-        }
-    }
-
-    /// At a SYNC0 pulse the device takes its outputs and shows its inputs.
-    fn obey_pulses(&mut self) {
-        let runs = self.is_powered() && self.hung_ms == 0 && !self.is_alone();
-        if self.controller.take_pulses() > 0 && runs {
-            self.has_outputs = self.take_outputs();
-            self.put_inputs();
         }
     }
 
