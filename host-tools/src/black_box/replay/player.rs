@@ -201,7 +201,9 @@ impl<'a, 'q> Player<'a, 'q> {
             let was_away = recent.iter().any(|sample| !sample.valid[axis]);
             let loses_home = before.homed[axis] && !now.homed[axis] && now.valid[axis];
             let has_power = StatusWord(now.status_word[axis]).state() == DriveState::OperationEnabled;
-            if was_away && loses_home && !has_power {
+            // Its own fault tells why a feedback that is not plausible lost the home.
+            let is_told = self.events.fault_at(now).is_some_and(|fault| is_feedback_of(&fault, axis));
+            if was_away && loses_home && !has_power && !is_told {
                 self.control.configured_again(axis);
             }
         }
@@ -283,4 +285,12 @@ fn is_acknowledge(command: &Command) -> bool {
 /// The joint angles of a sample.
 fn pose_of(sample: &SampleEntry) -> JointAngles {
     JointAngles(sample.measured_rad.map(f64::from))
+}
+
+/// Whether the fault is an implausible feedback of this axis.
+fn is_feedback_of(fault: &Fault, axis: usize) -> bool {
+    match *fault {
+        Fault::FeedbackDeviation { axis: of, .. } | Fault::FeedbackNoise { axis: of, .. } => usize::from(of) == axis,
+        _ => false,
+    }
 }
