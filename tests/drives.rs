@@ -97,7 +97,10 @@ fn drives_that_obey_sync0_draw_as_exactly_as_free_running_ones_whatever_their_cr
         for seed in 1..=6 {
             let by_sync0_mm = draw_with(&config, SlaveKind::Ax2000, seed).path_deviation_max_mm;
             let worse_mm = by_sync0_mm - free_mm;
-            assert!(worse_mm < SYNC0_DEVIATION_MM, "seed {seed}, {exchange:?}: {by_sync0_mm} mm, {free_mm} mm");
+            assert!(
+                worse_mm < SYNC0_DEVIATION_MM,
+                "seed {seed}, {exchange:?}: {by_sync0_mm} mm, {free_mm} mm"
+            );
         }
     }
 }

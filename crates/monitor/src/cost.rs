@@ -1,6 +1,6 @@
 //! Cost of a step, printed and not asserted: `cargo test --release -p etherpen-monitor -- --nocapture a_step_costs`.
 
-use crate::moment::{Command, Input, Joint, Mode, Moment, Report, WireFrame};
+use crate::moment::{Clocks, Command, Input, Joint, Mode, Moment, Report, WireFrame};
 use crate::rig::angles;
 use crate::telegram::tests::frame;
 use crate::{Cell, Monitor};
@@ -77,6 +77,7 @@ fn a_step_costs_little() {
                 inputs,
                 reports,
                 wire: &frames,
+                clocks: Clocks::default(),
             };
             violations.extend(monitor.step(&moment).err());
         }

@@ -1,5 +1,6 @@
 //! Random operators and machines: a robot that stands breaks no rule, and no input panics.
 
+use crate::moment::Clocks;
 use crate::rig::JOB;
 use crate::{Cell, Command, Count, Input, Joint, Mode, Moment, Monitor, Report, Rule, WireFrame};
 use proptest::prelude::*;
@@ -100,6 +101,7 @@ proptest! {
                     inputs: if crosses { inputs } else { &[] },
                     reports: if crosses { reports } else { &[] },
                     wire: &[],
+                    clocks: Clocks::default(),
                 };
                 let found = monitor.step(&moment);
                 let is_count = found.as_ref().is_err_and(|violation| violation.rule == Rule::Counters);
@@ -143,6 +145,7 @@ proptest! {
                 inputs,
                 reports,
                 wire: &[WireFrame { from_master: true, bytes: &bytes, time_ns: 0 }],
+                clocks: Clocks { time_ns: *time_ms, system_ns: &[Some(time_ms.rotate_left(17)), None, Some(1 << 31), Some(0)] },
             });
         }
         let _ = monitor.end();

@@ -214,6 +214,16 @@ pub struct WireFrame<'a> {
     pub time_ns: u64,
 }
 
+/// Distributed clocks at one true moment.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Clocks<'a> {
+    /// The moment, ns.
+    pub time_ns: u64,
+    /// System time of each slave's clock, ns, in the order of the chain: the lower 32 bits count. `None` for a slave without a
+    /// clock, or not in OP. Empty where no clock is set up.
+    pub system_ns: &'a [Option<u64>],
+}
+
 /// One millisecond.
 #[derive(Clone, Copy, Debug)]
 pub struct Moment<'a> {
@@ -229,4 +239,6 @@ pub struct Moment<'a> {
     pub reports: &'a [Report],
     /// Frames on the wire.
     pub wire: &'a [WireFrame<'a>],
+    /// The slaves' distributed clocks.
+    pub clocks: Clocks<'a>,
 }

@@ -1,7 +1,7 @@
 //! A robot for tests: joints that the test moves, an operator, and the monitor that watches.
 
 use crate::cell::Cell;
-use crate::moment::{Command, Input, Joint, Mode, Moment, Report, WireFrame};
+use crate::moment::{Clocks, Command, Input, Joint, Mode, Moment, Report, WireFrame};
 use crate::monitor::Monitor;
 use crate::robot::Robot;
 use crate::vector::{Vector, add, cross, dot, length, scale, subtract};
@@ -12,6 +12,14 @@ pub(crate) const JOB: u16 = 7;
 /// Acceleration of a joint that the test moves, rad/s2.
 const ACCELERATION_RAD_S2: f64 = 200.0;
 const TICK_S: f64 = 1.0e-3;
+
+/// The usual cell with joints that a test moves alone, as hard as they can: the tool's acceleration is no limit.
+pub(crate) fn cell() -> Cell {
+    Cell {
+        tool_acceleration_mm_s2: 200_000.0,
+        ..Cell::default()
+    }
+}
 
 /// Whether a rule is broken.
 pub(crate) fn broken(result: &Result<(), Violation>, rule: Rule) -> bool {
@@ -54,12 +62,14 @@ pub(crate) struct Rig {
     inputs: Vec<Input>,
     reports: Vec<Report>,
     frames: Vec<(bool, Vec<u8>)>,
+    /// System times of the slaves in OP.
+    pub(crate) clocks_ns: Vec<Option<u64>>,
 }
 
 impl Rig {
     /// A robot that has just been switched on.
     pub(crate) fn new() -> Self {
-        Self::with(Cell::default())
+        Self::with(cell())
     }
 
     pub(crate) fn with(cell: Cell) -> Self {
@@ -77,6 +87,7 @@ impl Rig {
             inputs: Vec::new(),
             reports: Vec::new(),
             frames: Vec::new(),
+            clocks_ns: Vec::new(),
         }
     }
 
@@ -248,6 +259,10 @@ impl Rig {
             inputs: &self.inputs,
             reports: &self.reports,
             wire: &wire,
+            clocks: Clocks {
+                time_ns: self.time_ms * 1_000_000,
+                system_ns: &self.clocks_ns,
+            },
         });
         self.inputs.clear();
         self.reports.clear();

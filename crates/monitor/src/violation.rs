@@ -27,6 +27,8 @@ pub enum Rule {
     Following,
     /// Where nothing is disturbed, a pen that draws keeps the tolerance of its line.
     Tolerance,
+    /// Clocks of slaves in operation agree where nothing is disturbed, and never jump.
+    Clocks,
     /// A reported standstill is a standstill.
     Mode,
     /// A drawing that is reported as finished has all of its ink.
@@ -39,7 +41,7 @@ pub enum Rule {
 
 impl Rule {
     /// All rules.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::Speed,
         Self::Acceleration,
         Self::Area,
@@ -51,6 +53,7 @@ impl Rule {
         Self::Pen,
         Self::Following,
         Self::Tolerance,
+        Self::Clocks,
         Self::Mode,
         Self::Finished,
         Self::Counters,
@@ -72,6 +75,7 @@ impl Rule {
             Self::Pen => "pen",
             Self::Following => "following",
             Self::Tolerance => "tolerance",
+            Self::Clocks => "clocks",
             Self::Mode => "mode",
             Self::Finished => "finished",
             Self::Counters => "counters",
@@ -94,6 +98,7 @@ impl Rule {
             Self::Pen => "The pen touches the paper only where it was ordered to.",
             Self::Following => "While drawing, the tool is never far from the path.",
             Self::Tolerance => "Where nothing is disturbed, a pen that draws keeps the tolerance of its line.",
+            Self::Clocks => "Clocks of slaves in operation agree where nothing is disturbed, and never jump.",
             Self::Mode => "A reported standstill is a standstill.",
             Self::Finished => "A drawing that is reported as finished has all of its ink.",
             Self::Counters => "Counters never go backwards, and count what happened.",

@@ -301,6 +301,15 @@ impl<L: Load> Segment<L> {
         slaves.iter().map(|slave| slave.system_at_ns(now_ns)).collect()
     }
 
+    /// As [`Self::system_times_ns`], but `None` for a slave without power or not in OP: its clock may be wrong, or be set.
+    #[must_use]
+    pub fn operational_times_ns(&self) -> Vec<Option<u64>> {
+        let now_ns = self.true_time_ns();
+        let is_in_operation = |slave: &&Slave| slave.is_powered() && slave.state() == AlState::Operational;
+        let of = |slave: &Slave| Some(slave).filter(is_in_operation)?.system_at_ns(now_ns);
+        self.chain.slaves().iter().map(of).collect()
+    }
+
     /// True time up to which the slaves have run, ns: the moment of [`Self::system_times_ns`].
     #[must_use]
     pub fn true_time_ns(&self) -> u64 {

@@ -44,6 +44,11 @@ pub enum Profile {
 const DURATION_MAX_MS: f64 = 25_000.0;
 /// Most events of an episode.
 const EVENTS_MAX: u64 = 14;
+/// One command beside the session in so many brings others with it, at most this many.
+const CROWD_ONE_IN: u64 = 6;
+const CROWD_MAX: u64 = 60;
+/// Time in which a new connection is made, ms.
+const RECONNECTING_MS: u64 = 60;
 
 /// The episode of a seed on a machine.
 #[must_use]
@@ -199,13 +204,32 @@ fn events(chance: &mut Chance, machine: &Machine, profile: Profile, duration_ms:
                 what: What::Fault(end),
             });
         }
-        events.push(Event {
-            at_ms: at_ms.min(duration_ms),
-            what,
-        });
+        let at_ms = at_ms.min(duration_ms);
+        let followers = followers(chance, machine, &what);
+        events.push(Event { at_ms, what });
+        events.extend(followers.into_iter().map(|(later_ms, command)| Event {
+            at_ms: at_ms + later_ms,
+            what: What::Beside(command),
+        }));
     }
     events.sort_by_key(|event| event.at_ms);
     events
+}
+
+/// Commands beside the session that may follow an event, each with its time after it, ms: more of them in one millisecond
+/// than any queue holds, and a stop while a new connection is being made.
+fn followers(chance: &mut Chance, machine: &Machine, what: &What) -> Vec<(u32, Command)> {
+    match what {
+        What::Beside(_) if chance.one_in(CROWD_ONE_IN) => {
+            let mut crowd: Vec<_> = (0..chance.below(CROWD_MAX))
+                .map(|_| (0, command(chance, machine)))
+                .collect();
+            crowd.push((0, Command::Stop));
+            crowd
+        }
+        What::Reconnect if chance.one_in(2) => vec![(chance.below(RECONNECTING_MS) as u32, Command::Stop)],
+        _ => Vec::new(),
+    }
 }
 
 /// One event.

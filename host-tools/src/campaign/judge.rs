@@ -5,7 +5,7 @@
 use super::machine::{Chain, has_height_axis};
 use super::world::Frame;
 use super::{Rule, robot};
-use crate::cell::{Fault, PEN_SPRING_MM, Product, ResolverFault, SiiFault, Truth};
+use crate::cell::{Clocks, Fault, PEN_SPRING_MM, Product, ResolverFault, SiiFault, Truth};
 use etherpen::application::Mode;
 use etherpen::config::{Axis, AxisMode, Config, PenLiftKind, Transport};
 use etherpen::link::frame::{Decoder, decode};
@@ -419,6 +419,7 @@ impl Judge {
         ms: u32,
         truth: &Truth,
         frames: &[Frame],
+        clocks: &Clocks,
         stop_open: bool,
     ) -> Result<(), (Rule, String)> {
         let now_ms = u64::from(ms);
@@ -448,6 +449,10 @@ impl Judge {
             inputs: &self.inputs,
             reports: &self.reports,
             wire: &wire,
+            clocks: monitor::Clocks {
+                time_ns: clocks.time_ns,
+                system_ns: &clocks.system_ns,
+            },
         });
         self.inputs.clear();
         self.reports.clear();

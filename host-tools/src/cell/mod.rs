@@ -136,6 +136,16 @@ pub struct Truth {
     pub pen_touches: bool,
 }
 
+/// Distributed clocks at one true moment.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Clocks {
+    /// The moment, ns.
+    pub time_ns: u64,
+    /// System time of each slave's clock, ns, in the order of the chain; `None` for one without a clock, without power or not
+    /// in OP.
+    pub system_ns: Vec<Option<u64>>,
+}
+
 /// The virtual cell.
 #[derive(Clone, Debug)]
 pub struct Cell {
@@ -352,6 +362,15 @@ impl Cell {
         }
         machine.behind_play(&mut truth.angles_rad, &mut truth.speeds_rad_s);
         truth
+    }
+
+    /// The distributed clocks of the slaves in OP.
+    #[must_use]
+    pub fn clocks(&self) -> Clocks {
+        Clocks {
+            time_ns: self.segment.true_time_ns(),
+            system_ns: self.segment.operational_times_ns(),
+        }
     }
 
     /// The present state of the cell.

@@ -1,5 +1,5 @@
 use super::*;
-use crate::moment::{Joint, Moment};
+use crate::moment::{Clocks, Joint, Moment};
 
 struct Desk {
     cell: Cell,
@@ -48,6 +48,7 @@ impl Desk {
             inputs: &[],
             reports: &[],
             wire: &[],
+            clocks: Clocks::default(),
         };
         self.motion.step(&self.cell, &self.bounds, &moment);
         self.orders

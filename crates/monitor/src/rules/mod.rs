@@ -5,6 +5,7 @@
 
 mod acceleration;
 mod area;
+mod clocks;
 mod counters;
 mod finished;
 mod following;
@@ -15,6 +16,7 @@ mod power;
 mod speed;
 mod stop;
 mod tolerance;
+mod tool_acceleration;
 mod wire;
 
 use crate::moment::Input;
@@ -32,6 +34,8 @@ pub(crate) struct Rules {
     pen: pen::Pen,
     following: following::Following,
     tolerance: tolerance::Tolerance,
+    tool_acceleration: tool_acceleration::ToolAcceleration,
+    clocks: clocks::Clocks,
     mode: mode::ReportedMode,
     finished: finished::Finished,
     counters: counters::Counters,
@@ -60,6 +64,8 @@ impl Rules {
             self.pen.check(scene),
             self.following.check(scene),
             self.tolerance.check(scene),
+            self.tool_acceleration.check(scene),
+            self.clocks.check(scene),
             self.mode.check(scene),
             self.finished.check(scene),
             self.counters.check(scene),

@@ -96,7 +96,7 @@ fn tool(scene: &Scene<'_>) -> (f64, f64) {
 mod tests {
     use crate::cell::Cell;
     use crate::moment::{Command, Input, Mode, Report};
-    use crate::rig::{Rig, broken};
+    use crate::rig::{Rig, broken, cell};
     use crate::violation::Rule;
 
     #[test]
@@ -124,7 +124,7 @@ mod tests {
     #[test]
     fn a_search_may_be_as_fast_as_its_switches_are_approached_however_slow_the_tool_is() {
         let searching = |speed_rad_s: f64| {
-            let mut cell = Cell::default();
+            let mut cell = cell();
             (cell.tool_speed_mm_s, cell.travel_speed_mm_s) = (1.0, 1.0);
             cell.joints.iter_mut().for_each(|joint| joint.search_rad_s = 0.5);
             let mut rig = Rig::with(cell);

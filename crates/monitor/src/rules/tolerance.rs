@@ -49,6 +49,7 @@ mod tests {
         let cell = Cell {
             undisturbed_mm: 0.02,
             tool_acceleration_mm_s2: 1_000.0,
+            pen_acceleration_mm_s2: 10_000.0,
             ..Cell::default()
         };
         let mut rig = Rig::drawing_on_paper_with(cell);

@@ -202,7 +202,10 @@ impl<'a, 'q> Player<'a, 'q> {
             let loses_home = before.homed[axis] && !now.homed[axis] && now.valid[axis];
             let has_power = StatusWord(now.status_word[axis]).state() == DriveState::OperationEnabled;
             // Its own fault tells why a feedback that is not plausible lost the home.
-            let is_told = self.events.fault_at(now).is_some_and(|fault| is_feedback_of(&fault, axis));
+            let is_told = self
+                .events
+                .fault_at(now)
+                .is_some_and(|fault| is_feedback_of(&fault, axis));
             if was_away && loses_home && !has_power && !is_told {
                 self.control.configured_again(axis);
             }

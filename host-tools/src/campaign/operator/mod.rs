@@ -385,8 +385,11 @@ impl Host for Operator<'_> {
         }
         let stop_open = ms < self.board.stop_until_ms;
         let verdict = {
-            let (world, judge) = (&self.world, &mut self.judge);
-            world.look(|cell, frames| judge.moment(ms, &cell.truth(), frames, stop_open))
+            let (world, judge, has_clocks) = (&self.world, &mut self.judge, self.config.bus.clocks);
+            world.look(|cell, frames| {
+                let clocks = has_clocks.then(|| cell.clocks()).unwrap_or_default();
+                judge.moment(ms, &cell.truth(), frames, &clocks, stop_open)
+            })
         };
         if let Err((rule, text)) = verdict {
             self.fail(rule, text);

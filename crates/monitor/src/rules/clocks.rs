@@ -1,0 +1,125 @@
+//! Clocks: no distributed clock of a slave in OP jumps, and where nothing is disturbed they agree.
+//!
+//! A slave in OP takes its outputs by its clock, and its neighbours theirs: 1 us apart is what drives that share a load
+//! tolerate. A crystal drifts by some ten parts per million and its control adds as much, some ten nanoseconds a
+//! millisecond; what goes beyond [`JUMP_NS`] was set, and moves the moment at which the drive acts.
+
+use crate::moment::Moment;
+use crate::scene::{Finding, Scene};
+use crate::violation::Rule;
+
+/// Farthest that two clocks may be apart, ns.
+const APART_NS: u32 = 1_000;
+/// Most that a clock may gain or lose on the true time from one moment to the next, ns.
+const JUMP_NS: u32 = 1_000;
+/// Time for which nothing must have been disturbed before clocks have to agree, ms.
+const QUIET_MS: u32 = 1_000;
+
+/// The rule.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Clocks {
+    quiet_ms: u32,
+    before: Vec<Option<u64>>,
+    before_ns: u64,
+}
+
+impl Clocks {
+    pub(crate) fn check(&mut self, scene: &Scene<'_>) -> Finding {
+        let moment = scene.moment;
+        self.quiet_ms = if scene.is_sound() {
+            self.quiet_ms.saturating_add(1)
+        } else {
+            0
+        };
+        let finding = self.jumps(moment).and_then(|()| self.agree(moment));
+        self.before.clear();
+        self.before.extend_from_slice(moment.clocks.system_ns);
+        self.before_ns = moment.clocks.time_ns;
+        finding
+    }
+
+    fn jumps(&self, moment: &Moment<'_>) -> Finding {
+        let passed_ns = moment.clocks.time_ns.wrapping_sub(self.before_ns);
+        for (slave, (now, before)) in moment.clocks.system_ns.iter().zip(&self.before).enumerate() {
+            let (Some(now), Some(before)) = (now, before) else {
+                continue;
+            };
+            let gained_ns = difference_ns(now.wrapping_sub(*before), passed_ns);
+            if gained_ns.unsigned_abs() > JUMP_NS {
+                let text = format!("the clock of slave {} in OP jumped by {gained_ns} ns", slave + 1);
+                return Err((Rule::Clocks, text));
+            }
+        }
+        Ok(())
+    }
+
+    fn agree(&self, moment: &Moment<'_>) -> Finding {
+        let mut clocks = (1..)
+            .zip(moment.clocks.system_ns)
+            .filter_map(|(slave, clock)| Some((slave, (*clock)?)));
+        let Some((first, first_ns)) = clocks.next().filter(|_| self.quiet_ms > QUIET_MS) else {
+            return Ok(());
+        };
+        let apart = clocks.map(|(slave, ns)| (slave, difference_ns(ns, first_ns)));
+        match apart.max_by_key(|(_, apart_ns)| apart_ns.unsigned_abs()) {
+            Some((slave, apart_ns)) if apart_ns.unsigned_abs() > APART_NS => {
+                let text = format!("the clocks of slaves {first} and {slave} are {apart_ns} ns apart");
+                Err((Rule::Clocks, text))
+            }
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Difference of two times by their lower 32 bits, ns.
+fn difference_ns(one: u64, other: u64) -> i32 {
+    one.wrapping_sub(other) as u32 as i32
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::rig::{Rig, broken};
+
+    /// Three slaves whose clocks go right from now on, two of them by so many nanoseconds wrong, for some milliseconds.
+    fn run(apart_ns: i64, ms: u64) -> Result<(), crate::violation::Violation> {
+        let mut rig = Rig::idle();
+        let start_ns = u64::from(u32::MAX) - 2_000_000;
+        for passed in 1..=ms {
+            let right_ns = start_ns + passed * 1_000_000;
+            // The second slave's clock has 32 bits.
+            let wrong_ns = right_ns.wrapping_add_signed(apart_ns);
+            rig.clocks_ns = vec![
+                None,
+                Some(right_ns),
+                Some(wrong_ns & u64::from(u32::MAX)),
+                Some(wrong_ns),
+            ];
+            rig.step()?;
+        }
+        Ok(())
+    }
+
+    #[test]
+    fn clocks_that_stay_apart_are_noticed_once_nothing_was_disturbed_for_a_second() {
+        assert_eq!(run(900, 1_200), Ok(()));
+        assert_eq!(run(-900, 1_200), Ok(()));
+        for apart_ns in [1_100, -1_100] {
+            assert!(broken(&run(apart_ns, 1_200), Rule::Clocks));
+        }
+    }
+
+    #[test]
+    fn a_clock_that_jumps_in_op_is_noticed_at_once_and_one_that_was_out_of_op_may_be_set() {
+        let mut rig = Rig::idle();
+        let mut step = |clock_ns: Option<u64>| {
+            rig.clocks_ns = vec![clock_ns];
+            rig.step()
+        };
+        assert_eq!(step(Some(1_000_000)), Ok(()));
+        assert_eq!(step(Some(2_000_900)), Ok(()));
+        assert_eq!(step(None), Ok(()));
+        assert_eq!(step(Some(500_000_000)), Ok(()));
+        assert!(broken(&step(Some(501_001_100)), Rule::Clocks));
+    }
+}
