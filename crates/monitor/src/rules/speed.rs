@@ -94,7 +94,6 @@ fn tool(scene: &Scene<'_>) -> (f64, f64) {
 
 #[cfg(test)]
 mod tests {
-    use crate::cell::Cell;
     use crate::moment::{Command, Input, Mode, Report};
     use crate::rig::{Rig, broken, cell};
     use crate::violation::Rule;

@@ -19,6 +19,7 @@ use super::{Failure, Rule};
 use crate::black_box;
 use crate::black_box::contents::Contents;
 use crate::black_box::replay::{Replay, replay};
+use crate::cell::Clocks;
 use crate::link::session::{Event as LinkEvent, Session};
 use crate::simulation::{Host, Surroundings};
 use etherpen::application::{Fault as Reason, InputCause, Mode, Refusal};
@@ -387,7 +388,7 @@ impl Host for Operator<'_> {
         let verdict = {
             let (world, judge, has_clocks) = (&self.world, &mut self.judge, self.config.bus.clocks);
             world.look(|cell, frames| {
-                let clocks = has_clocks.then(|| cell.clocks()).unwrap_or_default();
+                let clocks = if has_clocks { cell.clocks() } else { Clocks::default() };
                 judge.moment(ms, &cell.truth(), frames, &clocks, stop_open)
             })
         };
