@@ -96,7 +96,13 @@ pub fn episode(machine: &Machine, seed: u64, profile: Profile) -> Episode {
         _ => {}
     }
     if profile != Profile::Quiet {
-        episode.events = events(&mut chance, machine, profile, duration_ms);
+        episode.events = events(
+            &mut chance,
+            &mut Chance::new(seed ^ CROWD_SEED),
+            machine,
+            profile,
+            duration_ms,
+        );
     }
     episode
 }
@@ -180,7 +186,15 @@ fn soften(episode: &mut Episode, machine: &Machine, rad_s2: f64) {
 }
 
 /// Events at random times, now and then several in one burst.
-fn events(chance: &mut Chance, machine: &Machine, profile: Profile, duration_ms: u32) -> Vec<Event> {
+///
+/// `crowds` has the chances of the commands that follow an event, so that they change no other one.
+fn events(
+    chance: &mut Chance,
+    crowds: &mut Chance,
+    machine: &Machine,
+    profile: Profile,
+    duration_ms: u32,
+) -> Vec<Event> {
     // Faults of one kind of frames can be counted exactly.
     let only = (profile == Profile::Bus && chance.one_in(6)).then(|| trouble::of_frames(chance));
     let mut events = Vec::new();
@@ -205,7 +219,7 @@ fn events(chance: &mut Chance, machine: &Machine, profile: Profile, duration_ms:
             });
         }
         let at_ms = at_ms.min(duration_ms);
-        let followers = followers(chance, machine, &what);
+        let followers = followers(crowds, machine, &what);
         events.push(Event { at_ms, what });
         events.extend(followers.into_iter().map(|(later_ms, command)| Event {
             at_ms: at_ms + later_ms,
@@ -476,6 +490,8 @@ const POSITION_SEED: u64 = 0x0005_1710_0000;
 const TILT_SEED: u64 = 0x0711_7000_0000;
 /// Gives the choice of one telegram for both directions random numbers of its own.
 const EXCHANGE_SEED: u64 = 0x0C03_B140_0000;
+/// Gives the commands that follow an event random numbers of their own.
+const CROWD_SEED: u64 = 0x0C20_3D00_0000;
 /// Steepest sheet along each side, mm for each mm.
 const TILT_MAX: f64 = 0.03;
 
@@ -547,7 +563,7 @@ mod tests {
             for event in episode(&machine, seed, Profile::Link).events {
                 assert!(matches!(
                     event.what,
-                    What::Reconnect | What::Unplug(_) | What::Noise(..)
+                    What::Reconnect | What::Unplug(_) | What::Noise(..) | What::Beside(Command::Stop)
                 ));
             }
         }
