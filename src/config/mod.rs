@@ -294,6 +294,53 @@ mod tests {
     }
 
     #[test]
+    fn with_one_telegram_for_both_directions_every_lead_is_a_millisecond_longer_than_configured() {
+        let mut config = Config::default();
+        let leads = |axis: &Axis| [axis.feed_forward_lead_ms, axis.position_lead_ms, axis.torque_lead_ms];
+        config.bus.exchange = ExchangeKind::Split;
+        assert_eq!(
+            config.controlled_axes().each_ref().map(leads),
+            config.axes.each_ref().map(leads)
+        );
+        config.bus.exchange = ExchangeKind::Combined;
+        for (controlled, configured) in config.controlled_axes().iter().zip(&config.axes) {
+            assert_eq!(leads(controlled), leads(configured).map(|lead_ms| lead_ms + 1.0));
+            assert_eq!(controlled.measurement_age_ms, configured.measurement_age_ms);
+        }
+    }
+
+    #[test]
+    fn two_outputs_that_lower_the_pen_get_the_same_word_or_are_refused() {
+        let pen = |name: &str, slave, kind| IoPoint {
+            name: IoName::try_from(name).expect("a short name"),
+            slave,
+            direction: IoDirection::Out,
+            bit: Some(0),
+            kind,
+            role: IoRole::Pen,
+            ..IoPoint::default()
+        };
+        let check = |second| {
+            let mut config = Config {
+                geometry: Geometry::Scara(ScaraGeometry::default()),
+                ..Config::default()
+            };
+            config.pen = PenLift {
+                kind: PenLiftKind::Servo,
+                down: -5,
+                up: 7,
+                ..PenLift::default()
+            };
+            config.io.push(pen("pen", 4, IoType::I16)).expect("room");
+            config.io.push(pen("second", 5, second)).expect("room");
+            config.check_io()
+        };
+        assert_eq!(check(IoType::I16), Ok(()));
+        // The sign of a longer word fills more of it.
+        assert_eq!(check(IoType::I32), Err(IoError::PenPositions { io: 1 }));
+    }
+
+    #[test]
     fn the_longest_identities_fit_a_message_and_two_axes_never_expect_the_same_drive() {
         let mut config = Config::default();
         for (number, axis) in (0_u32..).zip(&mut config.axes) {

@@ -166,6 +166,22 @@ fn more_late_cycles_than_configured_within_a_second_fault_when_something_moves()
 }
 
 #[test]
+fn late_cycles_of_two_seconds_are_not_counted_together() {
+    let (axes, bus) = ([Axis::default(); AXES], Bus::default());
+    let limit = usize::from(bus.late_max_per_s);
+    let mut supervision = Supervision::new();
+    let mut run = |cycles: usize, late: u16| {
+        let seen = Observation { late, ..well() };
+        (0..cycles).find_map(|_| supervision.step(&axes, &bus, &seen))
+    };
+    for _ in 0..3 {
+        assert_eq!(run(limit, 1), None);
+        assert_eq!(run(usize::from(LATE_WINDOW_MS) - limit, 0), None);
+    }
+    assert!(run(limit + 1, 1).is_some());
+}
+
+#[test]
 fn the_first_cause_stays_until_it_is_cleared() {
     let mut supervision = Supervision::new();
     supervision.latch(Fault::SetpointUnderrun);
