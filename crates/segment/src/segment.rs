@@ -301,7 +301,8 @@ impl<L: Load> Segment<L> {
         slaves.iter().map(|slave| slave.system_at_ns(now_ns)).collect()
     }
 
-    /// As [`Self::system_times_ns`], but `None` for a slave without power or not in OP: its clock may be wrong, or be set.
+    /// System times of the distributed clocks of the slaves in OP at one true moment, ns, in the order of the chain. `None` for a
+    /// slave without a clock, without power or not in OP: its clock may be wrong, or be set.
     #[must_use]
     pub fn operational_times_ns(&self) -> Vec<Option<u64>> {
         let now_ns = self.true_time_ns();
