@@ -127,7 +127,7 @@ class Bus:
                 assert time.monotonic() - begun < PATIENCE_S, f"control word {control:#x}: {self.shown()}"
 
     def register(self, slave, address, form):
-        return struct.unpack(form, slave._fprd(address, struct.calcsize(form)))[0]
+        return struct.unpack(form, answered(slave._fprd, address, struct.calcsize(form)))[0]
 
     def runs(self, slave):
         """Whether a slave's next SYNC0 pulse lies ahead; the register keeps a start time that was missed."""
@@ -144,6 +144,17 @@ class Bus:
             if self.runs(slave):
                 return
             assert time.monotonic() - begun < PATIENCE_S, f"{slave.name}: SYNC0 does not start"
+
+
+def answered(access, *arguments):
+    """What an access to registers returns. pysoem waits milliseconds for an answer; a busy computer needs longer."""
+    begun = time.monotonic()
+    while True:
+        try:
+            return access(*arguments)
+        except pysoem.WkcError:
+            if time.monotonic() - begun > PATIENCE_S:
+                raise
 
 
 def device_name(slave):
@@ -185,7 +196,7 @@ def main(interface, cycles="10000"):
     said("mapped")
     for slave in bus.slaves:
         if slave.output:
-            slave.set_watchdog("processdata", WATCHDOG_MS)
+            answered(slave.set_watchdog, "processdata", WATCHDOG_MS)
     # A slave adds 2 for its outputs and 1 for its inputs. SOEM's own figure leaves out a slave whose few output bits
     # end inside a byte.
     expected = sum(2 * bool(slave.output) + bool(slave.input) for slave in bus.slaves)
@@ -226,7 +237,7 @@ def main(interface, cycles="10000"):
     for slave in bus.digital:
         # The sync manager lets a master only write; without it the memory behind can be read.
         fed = bus.register(slave, WATCHDOG_STATUS, "<H") & 1
-        slave._fpwr(SYNC_MANAGER_ACTIVATE, b"\0")
+        answered(slave._fpwr, SYNC_MANAGER_ACTIVATE, b"\0")
         held = bus.register(slave, OUTPUTS, "<B") & 0x0F
         report["slaves"][bus.slaves.index(slave)]["digital"] = {"set": pattern, "held": held, "fed": bool(fed)}
 
