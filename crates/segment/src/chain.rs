@@ -18,6 +18,8 @@ use std::collections::VecDeque;
 
 /// Serial number of a slave that has replaced the one at a place, less the place.
 const SWAPPED_SERIAL: u32 = 1_000;
+/// How long the cables of two slaves that are exchanged lie open, ms: quick hands.
+const RECABLING_MS: u64 = 500;
 /// A frame with a local experimental EtherType, as another station might send it.
 const FOREIGN_FRAME: [u8; 60] = {
     let mut frame = [0; 60];
@@ -90,6 +92,7 @@ impl Chain {
 
     /// Advances by one millisecond, to a true time.
     pub(crate) fn step(&mut self, now_ns: u64) {
+        self.wiring.step();
         for (slave, off_ms) in self.slaves.iter_mut().zip(&mut self.mains_off_ms) {
             if *off_ms > 0 {
                 *off_ms -= 1;
@@ -335,7 +338,7 @@ impl Chain {
         }
     }
 
-    /// Exchanges the places of two slaves, from 1, while their cables are pulled.
+    /// Exchanges the places of two slaves, from 1, whose cables lie open for a while.
     fn recable(&mut self, one: usize, other: usize) {
         let (Some(one), Some(other)) = (one.checked_sub(1), other.checked_sub(1)) else {
             return;
@@ -344,11 +347,7 @@ impl Chain {
             return;
         }
         for place in [one, other] {
-            self.slaves
-                .iter_mut()
-                .skip(place)
-                .take(1)
-                .for_each(|slave| slave.set_links(0));
+            self.wiring.open(place, RECABLING_MS);
         }
         self.slaves.swap(one, other);
         self.numbers.swap(one, other);

@@ -64,6 +64,8 @@ pub(crate) struct Wiring {
     behind: Vec<[Option<usize>; PORTS]>,
     /// Whether the cable that leads to each slave is pulled.
     cut: Vec<bool>,
+    /// How long that cable still lies open because a slave at one of its ends is being exchanged, ms.
+    open_ms: Vec<u64>,
     /// Whether each slave is bypassed.
     removed: Vec<bool>,
     travel: TravelTimes,
@@ -89,6 +91,7 @@ impl Wiring {
         Self {
             behind,
             cut: vec![false; slaves],
+            open_ms: vec![0; slaves],
             removed: vec![false; slaves],
             travel,
         }
@@ -102,6 +105,21 @@ impl Wiring {
     /// Plugs in every cable.
     pub(crate) fn join(&mut self) {
         self.cut.fill(false);
+    }
+
+    /// Pulls all cables of a slave, from 0, for some milliseconds.
+    pub(crate) fn open(&mut self, slave: usize, ms: u64) {
+        let behind = self.behind.get(slave).copied().unwrap_or_default();
+        for cable in behind.into_iter().flatten().chain([slave]) {
+            self.open_ms.iter_mut().skip(cable).take(1).for_each(|left| *left = ms);
+        }
+    }
+
+    /// Advances by one millisecond.
+    pub(crate) fn step(&mut self) {
+        for left in &mut self.open_ms {
+            *left = left.saturating_sub(1);
+        }
     }
 
     /// Bypasses a slave, from 1, or brings it back.
@@ -189,7 +207,7 @@ impl Wiring {
     fn neighbour(&self, slave: usize, slaves: &[Slave]) -> Option<usize> {
         let mut at = slave;
         loop {
-            if *self.cut.get(at)? {
+            if *self.cut.get(at)? || *self.open_ms.get(at)? > 0 {
                 return None;
             }
             if !*self.removed.get(at)? {

@@ -40,82 +40,141 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
             read => read.map(|()| true)?,
         };
     }
-    let is_junction = |slave: &SlaveClock| slave.latches && slave.ports.open.count_ones() > 2;
-    let strangers = match clocks.slaves.iter().any(|slave| slave.measured && is_junction(slave)) {
-        true => find_strangers(port, stations, clocks).await,
-        false => Ok(Some(Strangers::new())),
+    let is_junction = |slave: &SlaveClock| slave.ports.has_clock && slave.ports.open.count_ones() > 2;
+    let has_junction = clocks.slaves.iter().any(|slave| slave.measured && is_junction(slave));
+    let chain = match has_junction || clocks.are_moved {
+        true => look_through(port, stations, clocks).await,
+        false => Ok(Some(expected_chain(clocks))),
     };
-    // A stranger has gone meanwhile.
-    clocks.are_due = matches!(strangers, Err(BusError::WorkingCounter { .. }));
-    let strangers = if clocks.are_due { None } else { strangers? };
-    // Else the delays stay as they were measured before.
-    if let Some(strangers) = strangers {
-        take_delays(clocks, &strangers);
+    // A slave has gone meanwhile, or returned.
+    clocks.are_due = matches!(
+        chain,
+        Err(BusError::WorkingCounter { .. } | BusError::SlaveCount { .. })
+    );
+    if clocks.are_due {
+        return Ok(());
+    }
+    match chain? {
+        Some(chain) => {
+            put_in_order(clocks, &chain);
+            clocks.are_moved = false;
+            take_delays(clocks, &chain);
+        }
+        None if has_junction => {} // The delays stay as they were measured before.
+        None => take_delays(clocks, &expected_chain(clocks)),
     }
     Ok(())
 }
 
-/// Places in the chain, in order, of slaves that have no place in the bus's order, and their open ports.
-type Strangers<const SLAVES: usize> = Vec<(u8, u8), SLAVES>;
+/// What is at one place of the chain.
+#[derive(Clone, Copy)]
+enum Place {
+    /// A slave that was measured, by its number.
+    Measured(u8),
+    /// A slave that has no place in the bus's order, or was not measured: its open ports.
+    Stranger(u8),
+}
+
+/// The slaves in the order in which the frames pass them.
+type Chain<const SLAVES: usize> = Vec<Place, SLAVES>;
+
+/// The slaves that were measured, in the order in which they were last seen.
+fn expected_chain<const SLAVES: usize>(clocks: &BusClocks<SLAVES>) -> Chain<SLAVES> {
+    let mut numbers: Vec<(u8, u8), SLAVES> = (0..)
+        .zip(&clocks.slaves)
+        .filter(|(_, slave)| slave.measured)
+        .map(|(number, slave)| (slave.place, number))
+        .collect();
+    numbers.sort_unstable();
+    numbers.into_iter().map(|(_, number)| Place::Measured(number)).collect()
+}
+
+/// Notes in which order the slaves of a chain stand. Those that are not there keep their places.
+fn put_in_order<const SLAVES: usize>(clocks: &mut BusClocks<SLAVES>, chain: &Chain<SLAVES>) {
+    let numbers = || {
+        let places = chain.iter();
+        places.filter_map(|place| match place {
+            Place::Measured(number) => Some(usize::from(*number)),
+            Place::Stranger(_) => None,
+        })
+    };
+    let mut places: Vec<u8, SLAVES> = numbers()
+        .filter_map(|number| clocks.slaves.get(number))
+        .map(|slave| slave.place)
+        .collect();
+    places.sort_unstable();
+    for (number, place) in numbers().zip(places) {
+        if let Some(slave) = clocks.slaves.get_mut(number) {
+            slave.place = place;
+        }
+    }
+}
 
 /// Computes the delays of the slaves that were measured. Strangers are parts of their cables: at a junction they decide in which
 /// branch the others are.
-fn take_delays<const SLAVES: usize>(clocks: &mut BusClocks<SLAVES>, strangers: &Strangers<SLAVES>) {
-    let (mut there, mut ports) = (Vec::<usize, SLAVES>::new(), Vec::<PortTimes, SLAVES>::new());
-    for (position, slave) in clocks.slaves.iter().enumerate().filter(|(_, slave)| slave.measured) {
-        // There is room for all slaves.
-        let _ = (there.push(position), ports.push(slave.ports));
-    }
-    for (place, open) in strangers {
-        let stranger = PortTimes {
-            open: *open,
-            ..PortTimes::default()
-        };
-        let place = usize::from(*place);
-        // All slaves that were found fit, and each place before this one has its slave.
-        let _ = (there.insert(place, usize::MAX), ports.insert(place, stranger));
-    }
-    for (position, delay_ns) in there.iter().zip(propagation_delays_ns::<SLAVES>(&ports)) {
-        if let Some(slave) = clocks.slaves.get_mut(*position) {
+fn take_delays<const SLAVES: usize>(clocks: &mut BusClocks<SLAVES>, chain: &Chain<SLAVES>) {
+    let ports: Vec<PortTimes, SLAVES> = chain
+        .iter()
+        .map(|place| match place {
+            Place::Measured(number) => clocks.slaves.get(usize::from(*number)).map(|slave| slave.ports),
+            Place::Stranger(open) => Some(PortTimes {
+                open: *open,
+                ..PortTimes::default()
+            }),
+        })
+        .map(Option::unwrap_or_default)
+        .collect();
+    for (place, delay_ns) in chain.iter().zip(propagation_delays_ns::<SLAVES>(&ports)) {
+        if let Place::Measured(number) = place
+            && let Some(slave) = clocks.slaves.get_mut(usize::from(*number))
+        {
             slave.delay_ns = delay_ns;
         }
     }
 }
 
-/// Looks through the chain for slaves without a place in the bus's order. `None` if those that were measured are not in their
-/// order, or there are more than there is room for.
-async fn find_strangers<const SLAVES: usize, const MESSAGE: usize>(
+/// Looks which slaves the frames pass, and in which order. `None` if there are more than there is room for.
+///
+/// # Errors
+/// [`BusError::SlaveCount`] if not all slaves that were measured are there; as [`AcyclicPort::send_until_counted`].
+async fn look_through<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
     clocks: &BusClocks<SLAVES>,
-) -> Result<Option<Strangers<SLAVES>>, BusError> {
-    let known = || {
-        let slaves = clocks.slaves.iter().zip(stations);
-        slaves.filter(|(slave, _)| slave.measured).map(|(_, station)| *station)
-    };
-    let (found, mut next) = (discovery::count(port).await?, 0);
-    let mut strangers = Strangers::new();
-    if usize::from(found) <= known().count() {
-        return Ok(Some(strangers));
-    }
+) -> Result<Option<Chain<SLAVES>>, BusError> {
+    let found = discovery::count(port).await?;
     if usize::from(found) > SLAVES {
         return Ok(None);
     }
     let mut places = Vec::<u16, SLAVES>::new();
     discovery::stations(port, found, &mut places).await?;
-    for (place, station) in (0_u8..).zip(&places) {
-        if known().nth(next) == Some(*station) {
-            next += 1;
-            continue;
-        }
-        let address = Address::position(place.into(), register::DL_STATUS);
-        let status = port
-            .send_until_counted(&Request::read(Command::Aprd, address, 2), 1)
-            .await?;
+    let measured = || {
+        let slaves = (0_u8..).zip(clocks.slaves.iter().zip(stations));
+        slaves.filter(|(_, (slave, _))| slave.measured)
+    };
+    let mut chain = Chain::new();
+    for (place, station) in (0..).zip(&places) {
+        let number = measured().find(|(_, (_, known))| *known == station);
+        let there = match number {
+            Some((number, _)) => Place::Measured(number),
+            None => {
+                let address = Address::position(place, register::DL_STATUS);
+                let request = Request::read(Command::Aprd, address, 2);
+                let status = port.send_until_counted(&request, 1).await?;
+                Place::Stranger(open_ports(read_u16(&status, 0)))
+            }
+        };
         // There are at most as many as slaves.
-        let _ = strangers.push((place, open_ports(read_u16(&status, 0))));
+        let _ = chain.push(there);
     }
-    Ok(Some(strangers).filter(|_| next == known().count()))
+    let seen = chain.iter().filter(|place| matches!(place, Place::Measured(_))).count();
+    match seen == measured().count() {
+        true => Ok(Some(chain)),
+        false => Err(BusError::SlaveCount {
+            expected: measured().count() as u16,
+            actual: found,
+        }),
+    }
 }
 
 /// Reads a slave's open ports and the times that it has latched.
@@ -126,11 +185,11 @@ async fn read_times<const MESSAGE: usize>(
 ) -> Result<(), BusError> {
     let status = port.read_u16(station, register::DL_STATUS).await?;
     slave.ports = PortTimes {
-        has_clock: slave.latches,
+        has_clock: slave.ports.has_clock,
         open: open_ports(status),
         ..PortTimes::default()
     };
-    if !slave.latches {
+    if !slave.ports.has_clock {
         return Ok(());
     }
     let length = if slave.width.is_some() {

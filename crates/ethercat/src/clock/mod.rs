@@ -56,11 +56,11 @@ pub enum Width {
 pub struct SlaveClock {
     /// Width of its time; `None` if it has no clock.
     pub width: Option<Width>,
-    /// Whether it latches the times at which a frame passes its ports; every slave with a clock does.
-    pub latches: bool,
+    /// Its place among the slaves whose order is known, as the frames pass them. Cables that were plugged in elsewhere change it.
+    pub place: u8,
     /// Whether its clock has the time of the bus since it was last switched on.
     pub is_set: bool,
-    /// Port times latched by the last measurement.
+    /// Port times latched by the last measurement, and whether it latches any; every slave with a clock does.
     pub ports: PortTimes,
     /// The slave's own time when the frame of the measurement passed its processing unit, ns.
     pub local_ns: u64,
@@ -74,7 +74,7 @@ pub struct SlaveClock {
     pub measured: bool,
 }
 
-/// The clocks of a bus, in chain order.
+/// The clocks of a bus, in the order of the slaves' numbers.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct BusClocks<const SLAVES: usize> {
     /// One entry for each slave.
@@ -92,6 +92,8 @@ pub struct BusClocks<const SLAVES: usize> {
     ordered: u8,
     /// Whether the delays could not be computed from the last measurement.
     are_due: bool,
+    /// Whether slaves may stand elsewhere than the places say.
+    are_moved: bool,
     /// Whether a clock of 32 bits was replaced: it may have told the others a time without an upper half.
     was_narrow: bool,
     /// Number of the time, see [`ReferenceClock::time_number`].
@@ -103,18 +105,25 @@ pub struct BusClocks<const SLAVES: usize> {
 }
 
 impl<const SLAVES: usize> BusClocks<SLAVES> {
-    /// Place in the chain of the first slave with a clock.
+    /// Number of the first slave of the chain that has a clock.
     pub fn reference(&self) -> Option<usize> {
-        self.slaves.iter().position(|slave| slave.width.is_some())
+        self.first(|_, slave| slave.width.is_some())
     }
 
-    /// Place in the chain of the slave that distributes its time: the first that answers and has the time of the bus.
+    /// Number of the slave that distributes its time: the first of the chain that answers and has the time of the bus.
     /// FRMW writes a time that was expected a cycle before to clocks before that slave, so it has to be the first.
     fn distributor(&self, answers: impl Fn(usize) -> bool) -> Option<usize> {
-        let mut places = self.slaves.iter().enumerate();
-        places
-            .find(|(place, slave)| slave.width.is_some() && slave.is_set && answers(*place))
-            .map(|(place, _)| place)
+        self.first(|number, slave| slave.width.is_some() && slave.is_set && answers(number))
+    }
+
+    /// Number of the first slave of the chain that is wanted.
+    fn first(&self, is_wanted: impl Fn(usize, &SlaveClock) -> bool) -> Option<usize> {
+        let wanted = self
+            .slaves
+            .iter()
+            .enumerate()
+            .filter(|(number, slave)| is_wanted(*number, slave));
+        wanted.min_by_key(|(_, slave)| slave.place).map(|(number, _)| number)
     }
 
     /// Delay of a frame from the slave at `source` to the one at `position`, ns; 0 if the frame passes that one first.
@@ -166,6 +175,7 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
 
     /// Notes that a slave has dropped out of the chain or returned: the cables of the others may have changed.
     pub fn chain_changed(&mut self) {
+        self.are_moved = true;
         for slave in &mut self.slaves {
             slave.measured = false;
         }
@@ -214,18 +224,22 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
     /// Notes what was found at a slave's place: another slave with another clock, or with none, may have taken it.
     pub fn replace(&mut self, position: usize, found: &SlaveClock) {
         let slave = self.slaves.get_mut(position);
-        let is_other = |slave: &&mut SlaveClock| (slave.width, slave.latches) != (found.width, found.latches);
-        if let Some(slave) = slave.filter(is_other) {
+        let kind = |slave: &SlaveClock| (slave.width, slave.ports.has_clock);
+        if let Some(slave) = slave.filter(|slave| kind(slave) != kind(found)) {
             self.was_narrow |= slave.width == Some(Width::Bits32);
-            *slave = *found;
+            *slave = SlaveClock {
+                place: slave.place,
+                ..*found
+            };
         }
     }
 
     /// Adds an extra slave behind all others. Does nothing unless `position` is the next place.
     pub fn add_extra(&mut self, position: usize, found: SlaveClock) {
         if self.slaves.len() == position {
+            let place = position as u8;
             // There is an entry for each slave of the bus.
-            let _ = self.slaves.push(found);
+            let _ = self.slaves.push(SlaveClock { place, ..found });
         }
     }
 
@@ -258,10 +272,10 @@ pub async fn discover<const SLAVES: usize, const MESSAGE: usize>(
     stations: &[u16],
 ) -> Result<BusClocks<SLAVES>, BusError> {
     let mut clocks = BusClocks::<SLAVES>::default();
-    for station in stations.iter().take(SLAVES) {
-        let found = read_clock(port, *station).await?;
+    for (place, station) in (0..).zip(stations.iter().take(SLAVES)) {
+        let found = read_clock(port, *station).await?.unwrap_or_default();
         // The loop ends at the capacity.
-        let _ = clocks.slaves.push(found.unwrap_or_default());
+        let _ = clocks.slaves.push(SlaveClock { place, ..found });
     }
     clocks.ordered = clocks.slaves.len() as u8;
     Ok(clocks)
@@ -288,9 +302,13 @@ pub async fn read_clock<const MESSAGE: usize>(
         0 => Some(Width::Bits32),
         _ => Some(Width::Bits64),
     };
+    let ports = PortTimes {
+        has_clock: latches,
+        ..PortTimes::default()
+    };
     Ok(Some(SlaveClock {
         width,
-        latches,
+        ports,
         ..SlaveClock::default()
     }))
 }
@@ -371,6 +389,7 @@ pub async fn restore<const SLAVES: usize, const MESSAGE: usize>(
     };
     // Frames that told it a far time have made it up to 10 % faster or slower: the offset would be wrong once it is written.
     restart_loop(port, *station).await?;
+    clocks.are_moved = true;
     measure(port, stations, clocks, answers).await?;
     let is_source = |slave: &SlaveClock| slave.width.is_some() && slave.measured && slave.is_set;
     let mut others = clocks.slaves.iter().enumerate().filter(|(other, _)| *other != position);
@@ -444,11 +463,11 @@ async fn write_offset<const SLAVES: usize, const MESSAGE: usize>(
     clocks: &mut BusClocks<SLAVES>,
     offset_ns: u64,
 ) -> Result<(), BusError> {
-    let source = clocks.slaves.iter().enumerate().find(|(other, slave)| {
+    let source = clocks.first(|other, slave| {
         let is_set = slave.is_set && slave.measured;
-        slave.width.is_some() && (is_set || *other == position)
+        slave.width.is_some() && (is_set || other == position)
     });
-    let delay_ns = clocks.delay_from_ns(source.map(|(source, _)| source), position);
+    let delay_ns = clocks.delay_from_ns(source, position);
     let Some(slave) = clocks.slaves.get_mut(position) else {
         return Ok(());
     };

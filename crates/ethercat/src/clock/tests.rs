@@ -68,6 +68,8 @@ impl Model {
 /// A chain of four slaves; a frame a millisecond.
 struct Chain {
     slaves: StdVec<Model>,
+    /// Their addresses; in order until slaves are exchanged.
+    stations: [u16; 4],
     true_ns: u64,
     /// Whether the time of the first slave is distributed in each millisecond.
     distributes: bool,
@@ -104,11 +106,25 @@ impl Chain {
         }
         Self {
             slaves: models,
+            stations: STATIONS,
             true_ns: 7_000_000_123,
             distributes: false,
             is_junction: false,
             frames: 0,
             log: String::new(),
+        }
+    }
+
+    /// Exchanges two slaves, which keep their clocks and their addresses.
+    fn exchange(&mut self, one: usize, other: usize) {
+        let status = usize::from(register::DL_STATUS);
+        let cables = |slave: &Model| (slave.delay_ns, [slave.memory[status], slave.memory[status + 1]]);
+        let before: StdVec<_> = self.slaves.iter().map(cables).collect();
+        self.slaves.swap(one, other);
+        self.stations.swap(one, other);
+        for (slave, (delay_ns, status)) in self.slaves.iter_mut().zip(before) {
+            slave.delay_ns = delay_ns;
+            slave.put(register::DL_STATUS, &status);
         }
     }
 
@@ -173,7 +189,7 @@ impl Chain {
         if self.distributes {
             self.distribute();
         }
-        for (place, (model, station)) in (0_u16..).zip(self.slaves.iter_mut().zip(STATIONS)) {
+        for (place, (model, station)) in (0_u16..).zip(self.slaves.iter_mut().zip(self.stations)) {
             let now_ns = self.true_ns + model.delay_ns;
             let system = model.system_ns(now_ns).to_le_bytes();
             write_bytes(&mut model.memory, usize::from(register::DC_SYSTEM_TIME), &system);
@@ -485,6 +501,44 @@ fn after_a_change_of_the_chain_its_cables_are_measured_anew_once() {
             .expect("the delays");
         assert_eq!(chain.log.matches("Bwr:0900").count(), measurements);
         assert!(!chain.log.contains("Fpwr"), "no cable has changed: {}", chain.log);
+    }
+}
+
+#[test]
+fn slaves_that_stand_elsewhere_are_told_the_delays_of_their_new_places() {
+    let places = || (0..4).flat_map(|one| (0..4).map(move |other| (one, other)));
+    for ((one, other), again) in places().flat_map(|first| places().map(move |again| (first, again))) {
+        let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 123_456, 0)]);
+        let mut clocks = chain.set_up();
+        for (one, other) in [(one, other), again] {
+            chain.exchange(one, other);
+            // The first of them was switched off meanwhile.
+            let off = usize::from(chain.stations[other] - STATIONS[0]);
+            chain.slaves[other].start_ns += 1 << 33;
+            clocks.was_off(off);
+            clocks.chain_changed();
+            let answers = |number: usize| number != off;
+            chain
+                .run(async |mut port: AcyclicPort<'static, 64>| {
+                    tell_delays(&mut port, &STATIONS, &mut clocks, answers).await?;
+                    restore(&mut port, &STATIONS, &mut clocks, off, |_| true).await
+                })
+                .expect("the repair");
+            let delay = |slave: &Model| read_u32(&slave.memory, usize::from(register::DC_DELAY));
+            let told: StdVec<u32> = chain.slaves.iter().map(delay).collect();
+            assert_eq!(told, [0, 500, 1_000, 1_500], "{one} for {other}");
+            let reference = clocks.reference_clock(&STATIONS, |_| true).expect("a reference");
+            assert_eq!(reference.station, chain.stations[0], "{one} for {other}");
+            let times: StdVec<u64> = chain
+                .slaves
+                .iter()
+                .map(|slave| slave.system_ns(chain.true_ns))
+                .collect();
+            assert!(
+                times.iter().all(|time_ns| *time_ns == times[0]),
+                "{one} for {other}: {times:?}"
+            );
+        }
     }
 }
 

@@ -50,7 +50,8 @@ pub enum Fault {
     Remove(usize),
     /// This slave returns.
     Insert(usize),
-    /// The cables of two slaves are exchanged: they change places in the chain, each with its motor and its power.
+    /// The cables of two slaves are exchanged: they change places in the chain, each with its motor and its power. The cables
+    /// lie open for 500 ms.
     Recable(usize, usize),
     /// No frame that only writes process data gets through for this many milliseconds.
     Mute(u64),

@@ -52,7 +52,7 @@ Faults of the chain:
   crc K N             the cable behind slave K destroys the next N frames (0: the master's)
   remove K, insert K  slave K is bypassed; it comes back
   swap K KIND         slave K is replaced: ax2000, cia402, akd or ek1100
-  recable K L         the slaves K and L change places in the chain, with their motors
+  recable K L         the slaves K and L change places in the chain, with their motors; their cables lie open for 500 ms
   power K N           slave K is without power for N ms, and with it the chain behind it
 
 Faults of a slave:

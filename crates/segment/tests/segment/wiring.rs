@@ -231,3 +231,26 @@ fn three_resets_in_one_frame_are_none() {
     rig.time_us += 20_000;
     assert_eq!(rig.ask(FPRD, 0x1001, 0x0130, &[0, 0]).1, 1);
 }
+
+#[test]
+fn slaves_that_are_exchanged_are_away_with_what_is_behind_them_while_their_cables_lie_open() {
+    // In the tree the drives at port 3 and the terminal at port 1 of the junction are exchanged.
+    for (list, one, other, reached) in [("ax2000*4", 2, 3, 1), ("ax2000*4", 4, 2, 1), (TREE, 3, 4, 5)] {
+        let mut rig = segment(list);
+        let all = answering(&mut rig);
+        let station = |rig: &mut TestRig, place: u16| {
+            let (bytes, _) = rig.ask(APRD, 0_u16.wrapping_sub(place - 1), 0x0010, &[0; 2]);
+            u16::from_le_bytes([bytes[0], bytes[1]])
+        };
+        let before = [one, other].map(|place| station(&mut rig, place));
+        rig.bus.inject(Fault::Recable(one.into(), other.into()));
+        for passed_ms in [0, 1, 100, 380] {
+            rig.time_us += passed_ms * 1_000;
+            assert_eq!(answering(&mut rig), reached, "{list}");
+        }
+        rig.time_us += 30_000;
+        assert_eq!(answering(&mut rig), all, "{list}");
+        let after = [other, one].map(|place| station(&mut rig, place));
+        assert_eq!(before, after, "{list}");
+    }
+}

@@ -129,11 +129,16 @@ pub fn fault(fault: &Fault) -> String {
                 IdentityProperty::Station => String::new(),
                 property => format!(": {}", identity_property(property, expected, found)),
             };
+            let back = |other| {
+                let other = one(other);
+                format!("it was exchanged with slave {other}: put the cables or the devices of both places back")
+            };
             let hint = match other {
-                Some(other) => format!(
-                    "it was exchanged with slave {}: put the cables or the devices of both places back",
-                    one(other)
-                ),
+                // Nothing but the order at the start tells them apart.
+                Some(other) if property == IdentityProperty::Station => {
+                    format!("{}, or reset the board if they are to stay", back(other))
+                }
+                Some(other) => back(other),
                 None => "put the right one back, or correct alias, switch or serial of its axis in etherpen.toml \
                          (etherpen bus scan shows them)"
                     .to_owned(),
@@ -381,6 +386,9 @@ mod tests {
                 "{text}"
             );
         }
+        // A reset helps where nothing but the order at the start tells them apart.
+        let told = [IdentityProperty::Station, IdentityProperty::Serial].map(|property| wrong(property, Some(2)));
+        assert_eq!(told.map(|text| text.contains("reset the board")), [true, false]);
         let unknown = wrong(IdentityProperty::Alias, None);
         assert!(
             unknown.contains("slave 2 ") && unknown.contains("etherpen.toml"),
