@@ -107,7 +107,7 @@ fn drives_exchanged_while_they_were_off_are_refused_in_the_repair_and_draw_when_
             robot.run(500);
             assert_eq!(robot.cell().joints, before, "a motor has moved");
             robot.inject(EXCHANGED);
-            robot.run(200);
+            robot.run(700);
             assert_eq!(come_back(&mut robot, 1), 1);
         }
     }
@@ -123,7 +123,7 @@ fn drives_exchanged_under_power_are_refused_by_their_order_and_draw_when_they_ar
         robot.run(500);
         robot.inject(EXCHANGED);
         robot.inject(CellFault::Join);
-        robot.run(500);
+        robot.run(1_000);
         let before = robot.cell().joints;
         let left = acknowledge(&mut robot);
         assert!(
@@ -140,7 +140,7 @@ fn drives_exchanged_under_power_are_refused_by_their_order_and_draw_when_they_ar
         );
         assert_eq!(robot.cell().joints, before, "a motor has moved");
         robot.inject(EXCHANGED);
-        robot.run(200);
+        robot.run(700);
         assert_eq!(come_back(&mut robot, 1), 1);
     }
 }

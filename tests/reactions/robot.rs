@@ -13,7 +13,7 @@ use etherpen::measurement::MeasurementRequest;
 use etherpen::messages::{Command, ConfigRefusal, DeviceMessage, HostMessage, PathVertex, Sample, Status};
 use etherpen::motion::Pen;
 use host_tools::cell::{Cell, CellOptions, CellState, Fault as CellFault, InkStroke};
-use host_tools::emulator::{Emulator, Link, Options};
+use host_tools::emulator::{Emulator, Later, Link, Options};
 use host_tools::link::session::{Event, Session};
 use host_tools::setup;
 use host_tools::simulation::{self, Host, Surroundings};
@@ -86,6 +86,16 @@ enum Firmware {
     Board(#[expect(dead_code, reason = "held for its end")] Emulator),
 }
 
+impl Firmware {
+    /// Tasks that begin when the cell's clock shows this time, us.
+    fn tasks(segment: Arc<Mutex<Cell>>, mut bridge: Bridge, begun_us: u64) -> Self {
+        let mut segment = Later { segment, begun_us };
+        Self::Tasks(Box::pin(async move {
+            simulation::milliseconds(&mut segment, &mut bridge, u32::MAX).await
+        }))
+    }
+}
+
 /// A line that periodically loses the first bytes of a millisecond.
 #[derive(Clone, Copy)]
 pub(crate) struct Overrun {
@@ -147,10 +157,27 @@ impl Robot {
 
     /// A robot in virtual time with this configuration and cell, which waits for its configuration.
     pub(crate) fn of(config: &Config, options: CellOptions) -> Self {
-        Self::start(config, options, |mut segment, mut bridge| {
-            let tasks = async move { simulation::milliseconds(&mut segment, &mut bridge, u32::MAX).await };
-            Firmware::Tasks(Box::pin(tasks))
-        })
+        Self::start(config, options, |cell, bridge| Firmware::tasks(cell, bridge, 0))
+    }
+
+    /// The operator presses the board's reset button, and connects again. Drives and robot stay as they are.
+    pub(crate) fn reset_board(&mut self) {
+        let begun_us = self.cell().time_ms * 1_000;
+        let ((up_in, up), (down, down_out)) = (sync_channel(1), sync_channel(1));
+        let bridge = Bridge {
+            up: up_in,
+            down: down_out,
+            surroundings: self.surroundings.clone(),
+            used: self.used.clone(),
+            over: false,
+        };
+        (self.up, self.down, self.next) = (up, down, None);
+        self.firmware = Firmware::tasks(self.cell.clone(), bridge, begun_us);
+        self.session = Session::new(7);
+        self.session.connect();
+        self.answers.clear();
+        (self.status, self.reported, self.ack) = (None, None, PathAck::default());
+        self.run_until("the board is there again", |robot| robot.status.is_some());
     }
 
     /// A robot whose firmware is the emulated board's image.

@@ -6,7 +6,7 @@
 
 use super::messages::Injection;
 use crate::cell::{Cell, CellOptions, CellState, Fault, InkStroke, ResolverFault};
-use crate::emulator::{self, ClientSlot, Emulator, EmulatorError, LINK_BYTES_MAX, Link, Options, Pace, Segment};
+use crate::emulator::{self, ClientSlot, Emulator, EmulatorError, LINK_BYTES_MAX, Later, Link, Options, Pace, Segment};
 use crate::link::ownership::{CELL_SOCKET, remove_if_left_behind};
 use crate::link::port::PortName;
 use crate::simulation::{self, Host};
@@ -64,26 +64,6 @@ impl Segment for SharedCell {
 
     fn advance_to(&mut self, time_us: u64) {
         self.lock().advance_to(time_us);
-    }
-}
-
-/// A cell whose clock continues when the firmware's clock restarts.
-struct LaterCell {
-    cell: SharedCell,
-    begun_us: u64,
-}
-
-impl Segment for LaterCell {
-    fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
-        self.cell.frame(self.begun_us + time_us, frame)
-    }
-
-    fn frame_at_ns(&mut self, time_ns: u64, frame: &[u8]) -> Vec<Vec<u8>> {
-        self.cell.frame_at_ns(self.begun_us * 1_000 + time_ns, frame)
-    }
-
-    fn advance_to(&mut self, time_us: u64) {
-        self.cell.advance_to(self.begun_us + time_us);
     }
 }
 
@@ -315,8 +295,8 @@ fn run(shared: &Arc<Shared>, cell: &SharedCell, firmware: &Firmware) {
     while !shared.ended.load(Ordering::Relaxed) {
         shared.restart.store(false, Ordering::Relaxed);
         let begun_us = *lock(&shared.cell_us);
-        let mut later = LaterCell {
-            cell: cell.clone(),
+        let mut later = Later {
+            segment: cell.clone(),
             begun_us,
         };
         let result = match firmware {
@@ -338,7 +318,7 @@ fn run(shared: &Arc<Shared>, cell: &SharedCell, firmware: &Firmware) {
     }
 }
 
-fn emulate(shared: &Arc<Shared>, image: &Path, cell: LaterCell, begun_us: u64) -> Result<(), EmulatorError> {
+fn emulate(shared: &Arc<Shared>, image: &Path, cell: Later<SharedCell>, begun_us: u64) -> Result<(), EmulatorError> {
     let options = Options {
         pace: Pace::RealTime,
         decode_log: false,

@@ -72,6 +72,28 @@ impl<S: Segment> Segment for Arc<Mutex<S>> {
     }
 }
 
+/// A segment whose clock goes on when that of the firmware begins anew.
+pub struct Later<S> {
+    /// The segment.
+    pub segment: S,
+    /// Its time at the firmware's start, us.
+    pub begun_us: u64,
+}
+
+impl<S: Segment> Segment for Later<S> {
+    fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        self.segment.frame(self.begun_us + time_us, frame)
+    }
+
+    fn frame_at_ns(&mut self, time_ns: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        self.segment.frame_at_ns(self.begun_us * 1_000 + time_ns, frame)
+    }
+
+    fn advance_to(&mut self, time_us: u64) {
+        self.segment.advance_to(self.begun_us + time_us);
+    }
+}
+
 impl<L: Link> Link for Arc<Mutex<L>> {
     fn exchange(&mut self, ms: u32, from_device: &[u8], to_device: &mut Vec<u8>) {
         let mut link = self.lock().unwrap_or_else(PoisonError::into_inner);

@@ -169,6 +169,11 @@ fn bring_back(robot: &mut Robot, situation: &Situation, machine: Machine, was_re
                 robot.configure(&situation.config(machine));
                 (situation.mode != Mode::Startup).then_some("configure")
             }
+            // The bus was started while the cables were exchanged.
+            Mode::Fault if !steps.is_empty() && told_to_reset(robot) => {
+                robot.reset_board();
+                Some("reset the board")
+            }
             Mode::Fault => {
                 insist(robot, Command::Acknowledge);
                 robot.run(20);
@@ -207,6 +212,13 @@ fn bring_back(robot: &mut Robot, situation: &Situation, machine: Machine, was_re
         steps.extend(step);
     }
     panic!("{situation:?}: {steps:?}, {:?}", robot.status);
+}
+
+/// Whether a reset of the board is a way to go on, as the operator reads it.
+fn told_to_reset(robot: &Robot) -> bool {
+    robot
+        .fault()
+        .is_some_and(|fault| text::fault(&fault).contains("reset the board"))
 }
 
 /// Gives a command again as long as the robot is not ready for it.
