@@ -13,13 +13,17 @@ use super::process_data::LOGICAL_START;
 use super::random::Random;
 use super::slave_set::SlaveSet;
 use super::supervisor::SupervisorEnd;
-use super::wire::{Address, Command, Datagram, Datagrams, FrameView, PAYLOAD_OFFSET, SOURCE_BIT, read_u16};
+use super::wire::{
+    Address, Command, Datagram, Datagrams, FRAME_LEN_MAX, FrameView, PAYLOAD_OFFSET, SOURCE_BIT, read_u16,
+};
 use std::boxed::Box;
 use std::vec::Vec;
 
 const MAC: [u8; 6] = [0x10, 0, 0, 0, 0, 1];
 const SLAVES: usize = 4;
 const MESSAGE: usize = 512;
+/// Slaves of an exchange whose frame is nearly full.
+const MANY: usize = 19;
 
 type TestExchange<'a> = Exchange<'a, NoDrivers, SLAVES, MESSAGE>;
 
@@ -242,11 +246,12 @@ fn every_request_gets_one_reply_in_order_lost_or_not() {
     assert_eq!(end.port.registers.replies.dequeue().unwrap().outcome, Outcome::Lost);
 }
 
-#[test]
-fn a_request_that_no_frame_has_room_for_is_answered_in_its_turn() {
-    // The process data leave less room than the longest request needs.
-    const MANY: usize = 19;
-    let (exchange_end, mut end, _) = Box::leak(Box::new(BusQueues::<NoDrivers, MANY, MESSAGE>::new())).split();
+/// An exchange whose process data leave less room than the longest request needs: 28 bytes.
+fn full_exchange() -> (
+    Exchange<'static, NoDrivers, MANY, MESSAGE>,
+    SupervisorEnd<'static, NoDrivers, MANY, MESSAGE>,
+) {
+    let (exchange_end, mut end, _) = Box::leak(Box::new(BusQueues::new())).split();
     let slaves = (0..MANY as u32).map(|number| CyclicSlave {
         input_address: LOGICAL_START + 64 * number,
         input_length: 32,
@@ -260,7 +265,12 @@ fn a_request_that_no_frame_has_room_for_is_answered_in_its_turn() {
         ..CyclicPlan::default()
     };
     assert!(end.plans.enqueue(full).is_ok());
-    let mut exchange = Exchange::new(exchange_end, MAC);
+    (Exchange::new(exchange_end, MAC), end)
+}
+
+#[test]
+fn a_request_that_no_frame_has_room_for_is_answered_in_its_turn() {
+    let (mut exchange, mut end) = full_exchange();
     let mut outcomes_after_frame = |lengths: &[usize]| {
         for length in lengths {
             let request = Request::read(Command::Fprd, Address::station(0x1001, 0x0110), *length);
@@ -276,6 +286,43 @@ fn a_request_that_no_frame_has_room_for_is_answered_in_its_turn() {
     assert_eq!(outcomes_after_frame(&[]), [Outcome::Lost, no_room, no_room]);
     assert_eq!(outcomes_after_frame(&[]), [Outcome::Lost]);
     assert!(end.port.registers.requests.is_empty());
+}
+
+#[test]
+fn what_exactly_fills_the_frame_travels_and_what_is_a_byte_longer_is_answered() {
+    const AT: Address = Address::station(0x1001, 0x1000);
+    for (length, is_message) in [27, 28, 29]
+        .into_iter()
+        .flat_map(|length| [(length, false), (length, true)])
+    {
+        let (mut exchange, mut end) = full_exchange();
+        match is_message {
+            true => drop(
+                end.port
+                    .messages
+                    .requests
+                    .enqueue(Request::read(Command::Fprd, AT, length)),
+            ),
+            false => drop(
+                end.port
+                    .registers
+                    .requests
+                    .enqueue(Request::read(Command::Fprd, AT, length)),
+            ),
+        }
+        let telegram = exchange.input_telegram().to_vec();
+        let outcome = match is_message {
+            true => end.port.messages.replies.dequeue().map(|reply| reply.outcome),
+            false => end.port.registers.replies.dequeue().map(|reply| reply.outcome),
+        };
+        let view = FrameView::new_checked(&telegram).unwrap();
+        let last = view.datagrams().last().unwrap().unwrap();
+        let travels = (last.address(), last.data().len()) == (AT, length);
+        assert_eq!(travels, length <= 28, "{length} bytes, message {is_message}");
+        let no_room = Outcome::NoRoom { room: 28 };
+        assert_eq!(outcome, (length > 28).then_some(no_room), "message {is_message}");
+        assert_eq!(telegram.len() == FRAME_LEN_MAX, length == 28, "message {is_message}");
+    }
 }
 
 #[test]
