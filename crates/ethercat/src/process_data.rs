@@ -151,3 +151,79 @@ async fn watchdogs<const MESSAGE: usize>(
     .map(|(at, value)| Request::write(Command::Fpwr, Address::station(station, at), &value.to_le_bytes()));
     port.send_all_until_counted(&requests, 1, |_, _| {}).await
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::acyclic::{IN_FLIGHT_MAX, Lane, Outcome, Reply};
+    use crate::configure::Windows;
+    use crate::no_drivers::NoDrivers;
+    use crate::wire::write_bytes;
+    use core::pin::pin;
+    use core::task::{Context, Poll, Waker};
+    use heapless::spsc::Queue;
+    use std::vec::Vec;
+
+    const WINDOWS: Windows = Windows {
+        outputs: 0x1100,
+        inputs: 0x1180,
+    };
+
+    /// The registers of a slave that was set up for this many bytes of outputs and of inputs.
+    fn registers(output_length: u16, input_length: u16) -> Vec<u8> {
+        let slave = Slave::<NoDrivers> {
+            process_data: Some(ProcessData {
+                windows: WINDOWS,
+                output_length,
+                input_length,
+                layout: (),
+            }),
+            ..Slave::at(0)
+        };
+        let mut registers = std::vec![0xFF; 0x1000];
+        let mut requests = Queue::<Request, { IN_FLIGHT_MAX + 1 }>::new();
+        let mut replies = Queue::<Reply, { IN_FLIGHT_MAX + 1 }>::new();
+        let (mut messages, mut answers) = (Queue::<Request<32>, 2>::new(), Queue::<Reply<32>, 2>::new());
+        let (ask, mut asked) = requests.split();
+        let (mut give, given) = replies.split();
+        let message_lane = Lane::new(messages.split().0, answers.split().1);
+        let mut port = AcyclicPort::new(Lane::new(ask, given), message_lane);
+        let mut work = pin!(set_up(&mut port, &slave, 100));
+        let result = (0..100).find_map(|_| {
+            let poll = work.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+            while let Some(Request { address, data, .. }) = asked.dequeue() {
+                write_bytes(&mut registers, address.register().into(), &data);
+                let outcome = Outcome::Processed { working_counter: 1 };
+                assert!(give.enqueue(Reply { data, outcome }).is_ok());
+            }
+            match poll {
+                Poll::Ready(result) => Some(result),
+                Poll::Pending => None,
+            }
+        });
+        assert_eq!(result, Some(Ok(())));
+        registers
+    }
+
+    #[test]
+    fn a_slave_gets_sync_managers_and_mappings_that_are_on_only_where_it_has_bytes() {
+        for (outputs, inputs) in (0..=3).flat_map(|outputs| (0..=3).map(move |inputs| (outputs, inputs))) {
+            let registers = registers(outputs, inputs);
+            let manager = |number| {
+                let at = usize::from(register::sync_manager(number));
+                let manager = SyncManagerRepr::parse(&registers[at..]).expect("a sync manager");
+                (manager.start, manager.length, manager.activate)
+            };
+            let mapping = |number| {
+                let at = usize::from(register::fmmu(number));
+                let mapping = FmmuRepr::parse(&registers[at..]).expect("an FMMU");
+                (mapping.physical_start, mapping.length, mapping.active)
+            };
+            let what = std::format!("{outputs} bytes of outputs, {inputs} of inputs");
+            assert_eq!(manager(2), (WINDOWS.outputs, outputs, u8::from(outputs > 0)), "{what}");
+            assert_eq!(manager(3), (WINDOWS.inputs, inputs, u8::from(inputs > 0)), "{what}");
+            assert_eq!(mapping(0), (WINDOWS.outputs, outputs, outputs > 0), "{what}");
+            assert_eq!(mapping(1), (WINDOWS.inputs, inputs, inputs > 0), "{what}");
+        }
+    }
+}

@@ -394,27 +394,53 @@ mod tests {
         bytes
     }
 
-    /// A slave's answer; `word` is the one that was asked for last.
-    fn answer(request: &Request, sii: &[u8], word: &mut u16) -> Reply {
-        let mut data = request.data.clone();
-        if request.address.register() == register::SII_CONTROL {
-            match request.command.writes() {
-                true => *word = read_u16(&data, 2),
-                false => {
-                    let from = sii.get(2 * usize::from(*word)..).unwrap_or(&[]);
-                    write_bytes(&mut data, 0, &register::SII_READS_8_BYTES.to_le_bytes());
-                    write_bytes(&mut data, 2, &word.to_le_bytes());
-                    write_bytes(&mut data, 6, &from[..from.len().min(8)]);
+    /// A slave's interface to its SII.
+    struct Interface {
+        sii: Vec<u8>,
+        /// The word that was asked for last.
+        word: u16,
+        /// Lengths of the next answers in turn, bytes: 4 or 8.
+        lengths: Vec<usize>,
+    }
+
+    impl Interface {
+        fn answer(&mut self, request: &Request) -> Reply {
+            let mut data = request.data.clone();
+            if request.address.register() == register::SII_CONTROL {
+                match request.command.writes() {
+                    true => self.word = read_u16(&data, 2),
+                    false => {
+                        let from = self.sii.get(2 * usize::from(self.word)..).unwrap_or(&[]);
+                        let status = if self.lengths[0] == 8 {
+                            register::SII_READS_8_BYTES
+                        } else {
+                            0
+                        };
+                        write_bytes(&mut data, 0, &status.to_le_bytes());
+                        write_bytes(&mut data, 2, &self.word.to_le_bytes());
+                        write_bytes(&mut data, 6, &from[..from.len().min(self.lengths[0])]);
+                        self.lengths.rotate_left(1);
+                    }
                 }
             }
+            let outcome = Outcome::Processed { working_counter: 1 };
+            Reply { data, outcome }
         }
-        let outcome = Outcome::Processed { working_counter: 1 };
-        Reply { data, outcome }
     }
 
     /// The number of objects that the SII assigns to the inputs, and their entries.
     fn inputs(records: &[[u8; 8]]) -> (Result<u8, BusError>, Vec<Entry>) {
-        let (sii, mut word, mut entries) = (sii(records), 0, Vec::new());
+        inputs_in_parts(records, &[8])
+    }
+
+    /// What [`inputs`] returns of an interface whose answers have these lengths in turn, bytes.
+    fn inputs_in_parts(records: &[[u8; 8]], lengths: &[usize]) -> (Result<u8, BusError>, Vec<Entry>) {
+        let mut interface = Interface {
+            sii: sii(records),
+            word: 0,
+            lengths: lengths.to_vec(),
+        };
+        let mut entries = Vec::new();
         let mut requests = Queue::<Request, { IN_FLIGHT_MAX + 1 }>::new();
         let mut replies = Queue::<Reply, { IN_FLIGHT_MAX + 1 }>::new();
         let (mut messages, mut answers) = (Queue::<Request<32>, 2>::new(), Queue::<Reply<32>, 2>::new());
@@ -432,7 +458,7 @@ mod tests {
             let mut polls = (0..1_000).map(|_| {
                 let result = work.as_mut().poll(&mut Context::from_waker(Waker::noop()));
                 while let Some(request) = asked.dequeue() {
-                    assert!(give.enqueue(answer(&request, &sii, &mut word)).is_ok());
+                    assert!(give.enqueue(interface.answer(&request)).is_ok());
                 }
                 result
             });
@@ -452,5 +478,26 @@ mod tests {
         assert_eq!(inputs(&[object(0, 0)]), (Ok(0), Vec::new()));
         let records = [object(0, 0), object(1, 1), entry, object(2, 0)];
         assert_eq!(inputs(&records), (Ok(1), std::vec![position]));
+    }
+    #[test]
+    fn records_are_whole_in_whatever_parts_the_sii_is_answered() {
+        let object = |index: u8, entries| [index, 0x1A, entries, SYNC_MANAGER_INPUTS, 0, 0, 0, 0];
+        let entry = |index: u8, bits| [index, 0x60, 0, 0, 0, bits, 0, 0];
+        let records = [
+            object(0, 2),
+            entry(0x64, 32),
+            entry(0x41, 16),
+            object(1, 1),
+            entry(0x61, 8),
+        ];
+        let expected = [(0x6064, 32), (0x6041, 16), (0x6061, 8)];
+        let expected: Vec<Entry> = expected
+            .map(|(index, bits)| Entry::new(Object::new(index, 0), bits))
+            .to_vec();
+        for pattern in 0..32_u32 {
+            let lengths = [0, 1, 2, 3, 4].map(|place| if pattern >> place & 1 == 0 { 4 } else { 8 });
+            let found = inputs_in_parts(&records, &lengths);
+            assert_eq!(found, (Ok(2), expected.clone()), "answers of {lengths:?} bytes");
+        }
     }
 }
