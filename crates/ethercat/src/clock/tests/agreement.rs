@@ -1,6 +1,38 @@
-//! How a clock is judged to have settled.
+//! Whose time a clock takes, and how it is judged to have settled.
 
 use super::*;
+
+#[test]
+fn a_clock_takes_the_time_of_others_while_one_is_lost_whether_that_one_is_away_or_has_just_returned() {
+    for (off, lost, is_away) in (0..4).flat_map(|off| (0..8).map(move |lost| (off, lost / 2, lost % 2 == 0))) {
+        if off == lost {
+            continue;
+        }
+        let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 123_456, 0)]);
+        let mut clocks = chain.set_up();
+        // Both have lost their time; the master has not measured since.
+        chain.slaves[off].start_ns += 1 << 33;
+        chain.slaves[lost].start_ns += 1 << 34;
+        clocks.was_off(off);
+        if is_away {
+            chain.slaves.remove(lost);
+            chain.stations[lost..].rotate_left(1);
+        }
+        let answers = |number: usize| number != lost;
+        chain
+            .run(async |mut port: AcyclicPort<'static, 64>| {
+                restore(&mut port, &STATIONS, &mut clocks, off, answers).await
+            })
+            .expect("the clock");
+        let there = chain.slaves.iter().zip(chain.stations);
+        let times: StdVec<u64> = there
+            .filter(|(_, station)| *station != STATIONS[lost])
+            .map(|(slave, _)| slave.system_ns(chain.true_ns))
+            .collect();
+        let what = std::format!("{off} is set, {lost} is lost, away {is_away}");
+        assert!(times.iter().all(|time_ns| *time_ns == times[0]), "{what}: {times:?}");
+    }
+}
 
 #[test]
 fn a_clock_that_only_passes_by_the_reference_is_not_taken_for_one_that_agrees() {
