@@ -293,6 +293,14 @@ impl Rig {
         self.look()
     }
 
+    /// Lets time pass unseen; the tool is at rest in another place behind it.
+    pub(crate) fn miss(&mut self, target: Vector, ms: u64) {
+        self.time_ms += ms;
+        let angles = angles(&self.cell.robot, target);
+        let joints = self.joints.iter_mut().zip(angles);
+        joints.for_each(|(joint, angle)| joint.angle_rad = angle);
+    }
+
     pub(crate) fn go_to_height(&mut self, z_mm: f64, ms: u32) -> Result<(), Violation> {
         self.go_to([0.0, 0.0, z_mm], ms)
     }

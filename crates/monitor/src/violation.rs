@@ -7,7 +7,7 @@ use std::fmt;
 pub enum Rule {
     /// No joint and no tool moves faster than its limit and what its controller may add.
     Speed,
-    /// No joint changes its speed faster than its limit, a stop or its brake can.
+    /// Neither a joint nor the tool changes its speed faster than its limit, a stop or its brake can.
     Acceleration,
     /// Joints stay in their ranges, and the tool in the work area.
     Area,
@@ -88,7 +88,9 @@ impl Rule {
     pub const fn sentence(self) -> &'static str {
         match self {
             Self::Speed => "No joint and no tool moves faster than its limit and what its controller may add.",
-            Self::Acceleration => "No joint changes its speed faster than its limit, a stop or its brake can.",
+            Self::Acceleration => {
+                "Neither a joint nor the tool changes its speed faster than its limit, a stop or its brake can."
+            }
             Self::Area => "Joints stay in their ranges, and the tool in the work area.",
             Self::Power => "Drives have power only after an order for it, and lose it soon after the order ends.",
             Self::Permission => "Nothing moves without configuration, homing, power and an order to move.",

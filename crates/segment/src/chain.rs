@@ -104,8 +104,8 @@ impl Chain {
         self.show_links();
     }
 
-    /// Time to the next SYNC0 pulse, ns: that of the middle one of the slaves that generate them; `None` without one. A slave
-    /// whose clock is wrong does not lead the others.
+    /// Time to the next SYNC0 pulse, ns: that of the middle one of the slaves that generate them at the same place of each
+    /// millisecond, so that one wrong clock among three leads nobody; `None` without one.
     pub(crate) fn pulse_ahead_ns(&self) -> Option<u64> {
         let mut ahead_ns: Vec<u64> = self.slaves.iter().filter_map(Slave::pulse_ahead_ns).collect();
         ahead_ns.sort_unstable();

@@ -2,7 +2,8 @@
 //!
 //! Time: the first call sets the start. Drives, watchdogs and load advance once a millisecond, at boundaries half a
 //! millisecond away from the first frame (and from the first one after a long silence), so frames that come once a
-//! millisecond may jitter by almost half a millisecond without any effect. At each boundary a drive takes the outputs
+//! millisecond may jitter by almost half a millisecond without any effect. Where slaves obey SYNC0 with a period of whole
+//! milliseconds, the boundaries follow their pulses by 2 us instead. At each boundary a drive takes the outputs
 //! of `output_delay_ms` ago, moves its motor over one millisecond, and shows the position of `input_delay_ms` ago: with
 //! delays of zero, the next frame's position shows one millisecond of motion under the previous frame's command.
 //!
@@ -386,8 +387,8 @@ impl<L: Load> Segment<L> {
         self.last_frame_us = Some(time_us.max(self.last_frame_us.unwrap_or(0)));
     }
 
-    /// Time to the next boundary, microseconds: it is just behind the pulses of the slaves that obey SYNC0, and otherwise a
-    /// millisecond from the last one.
+    /// Time to the next boundary, microseconds: it is just behind the pulses of the slaves that obey SYNC0 in whole
+    /// milliseconds, and otherwise a millisecond from the last one.
     fn step_us(&self) -> u64 {
         let Some(ahead_ns) = self.chain.pulse_ahead_ns() else {
             return STEP_US;

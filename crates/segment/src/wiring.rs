@@ -102,7 +102,7 @@ impl Wiring {
         self.cut.iter_mut().skip(cable).take(1).for_each(|flag| *flag = cut);
     }
 
-    /// Plugs in every cable.
+    /// Plugs in every cable that was cut; those of slaves that are being exchanged stay open for their time.
     pub(crate) fn join(&mut self) {
         self.cut.fill(false);
     }

@@ -230,8 +230,8 @@ fn events(
     events
 }
 
-/// Commands beside the session that may follow an event, each with its time after it, ms: more of them in one millisecond
-/// than any queue holds, and a stop while a new connection is being made.
+/// Commands beside the session that may follow an event, each with its time after it, ms: as many as the line takes for some
+/// ten milliseconds with a stop behind them, or a stop while a new connection is being made.
 fn followers(chance: &mut Chance, machine: &Machine, what: &What) -> Vec<(u32, Command)> {
     match what {
         What::Beside(_) if chance.one_in(CROWD_ONE_IN) => {

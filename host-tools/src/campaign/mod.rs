@@ -30,7 +30,7 @@ mod soak;
 mod trouble;
 mod world;
 
-use crate::cell::{Cell, CellOptions};
+use crate::cell::{Cell, CellOptions, ClockOptions};
 use crate::simulation;
 pub use emulated::{for_the_image, run_image};
 use episode::Episode;
@@ -115,6 +115,15 @@ impl Run {
     }
 }
 
+/// 400 m of cable between any two slaves: a delay that was taken for another slave's makes two clocks differ by more than
+/// the monitor allows.
+fn long_cables() -> ClockOptions {
+    ClockOptions {
+        cable_ns: 2_000,
+        ..ClockOptions::default()
+    }
+}
+
 /// The configuration of an episode, and its cell before power-up.
 fn prepared(episode: &Episode) -> Result<(Config, World), Run> {
     let config = episode
@@ -122,6 +131,7 @@ fn prepared(episode: &Episode) -> Result<(Config, World), Run> {
         .map_err(|text| Run::failed(Rule::Episode, text))?;
     let options = CellOptions {
         seed: episode.seed,
+        clocks: long_cables(),
         ..CellOptions::default()
     };
     let world = World::new(Cell::new(&config, options));

@@ -6,6 +6,7 @@
 use super::chance::Chance;
 use super::episode::{Episode, Event, Figure, What, Wish};
 use super::generate::{Profile, what};
+use super::long_cables;
 use super::machine::{DEFAULT_MACHINE, Machine};
 use super::operator::Operator;
 use super::trouble;
@@ -144,6 +145,7 @@ fn soak(seed: u64, hours: f64) -> Vec<u64> {
     let episode = episode(seed, duration_ms, portrait());
     let options = CellOptions {
         seed,
+        clocks: long_cables(),
         ..CellOptions::default()
     };
     let mut world = World::new(Cell::new(&Config::default(), options));

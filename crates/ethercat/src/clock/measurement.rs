@@ -25,6 +25,8 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
     clocks: &mut BusClocks<SLAVES>,
     answers: impl Fn(usize) -> bool,
 ) -> Result<(), BusError> {
+    // Until the delays are taken, whatever ends this before.
+    clocks.are_due = true;
     // Only one latching frame counts: a repeated one would leave slaves with times of different frames.
     port.broadcast_write(register::DC_RECEIVE_TIME, &[0; 4]).await?;
     // Nobody knows where in the chain an extra slave is.
@@ -46,23 +48,19 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
         true => look_through(port, stations, clocks).await,
         false => Ok(Some(expected_chain(clocks))),
     };
-    // A slave has gone meanwhile, or returned.
-    clocks.are_due = matches!(
-        chain,
-        Err(BusError::WorkingCounter { .. } | BusError::SlaveCount { .. })
-    );
-    if clocks.are_due {
-        return Ok(());
-    }
-    match chain? {
-        Some(chain) => {
+    match chain {
+        Ok(Some(chain)) => {
             put_in_order(clocks, &chain);
             clocks.are_moved = false;
             take_delays(clocks, &chain);
         }
-        None if has_junction => {} // The delays stay as they were measured before.
-        None => take_delays(clocks, &expected_chain(clocks)),
+        Ok(None) if has_junction => {} // The delays stay as they were measured before.
+        Ok(None) => take_delays(clocks, &expected_chain(clocks)),
+        // A slave has gone meanwhile, or returned.
+        Err(BusError::WorkingCounter { .. }) => return Ok(()),
+        Err(error) => return Err(error),
     }
+    clocks.are_due = false;
     Ok(())
 }
 
@@ -133,14 +131,15 @@ fn take_delays<const SLAVES: usize>(clocks: &mut BusClocks<SLAVES>, chain: &Chai
     }
 }
 
-/// Looks which slaves the frames pass, and in which order. `None` if there are more than there is room for.
+/// Looks which slaves the frames pass, and in which order. One that was measured and is not among them counts as not measured.
+/// `None` if there are more than there is room for.
 ///
 /// # Errors
-/// [`BusError::SlaveCount`] if not all slaves that were measured are there; as [`AcyclicPort::send_until_counted`].
+/// As [`AcyclicPort::send_until_counted`].
 async fn look_through<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
-    clocks: &BusClocks<SLAVES>,
+    clocks: &mut BusClocks<SLAVES>,
 ) -> Result<Option<Chain<SLAVES>>, BusError> {
     let found = discovery::count(port).await?;
     if usize::from(found) > SLAVES {
@@ -167,14 +166,11 @@ async fn look_through<const SLAVES: usize, const MESSAGE: usize>(
         // There are at most as many as slaves.
         let _ = chain.push(there);
     }
-    let seen = chain.iter().filter(|place| matches!(place, Place::Measured(_))).count();
-    match seen == measured().count() {
-        true => Ok(Some(chain)),
-        false => Err(BusError::SlaveCount {
-            expected: measured().count() as u16,
-            actual: found,
-        }),
+    for (number, slave) in (0_u8..).zip(&mut clocks.slaves) {
+        let is_it = |place: &Place| matches!(place, Place::Measured(there) if *there == number);
+        slave.measured &= chain.iter().any(is_it);
     }
+    Ok(Some(chain))
 }
 
 /// Reads a slave's open ports and the times that it has latched.

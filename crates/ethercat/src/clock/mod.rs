@@ -83,7 +83,7 @@ pub struct BusClocks<const SLAVES: usize> {
     pub period_ns: u32,
     /// Phase of the frames at the reference, ns within the period.
     pub phase_ns: u32,
-    /// Place of the slave that distributed its time when the delays were last told.
+    /// Number of the slave that distributed its time when the delays were last told.
     told_by: Option<u8>,
     /// Whether clocks before the reference are being set: it only shows its time meanwhile.
     is_held: bool,
@@ -423,6 +423,12 @@ pub async fn tell_delays<const SLAVES: usize, const MESSAGE: usize>(
     answers: impl Fn(usize) -> bool,
 ) -> Result<(), BusError> {
     let is_there = |position: usize, slave: &SlaveClock| slave.width.is_some() && slave.is_set && answers(position);
+    // Delays of different measurements have different beginnings.
+    let mut there = clocks.slaves.iter().enumerate();
+    if clocks.are_due || there.any(|(position, slave)| is_there(position, slave) && !slave.measured) {
+        measure(port, stations, clocks, &answers).await?;
+    }
+    // The slaves may stand in another order than before.
     let source = clocks.distributor(&answers);
     let teller = source.map(|source| source as u8);
     if let Some(station) = source.and_then(|source| stations.get(source))
@@ -432,11 +438,6 @@ pub async fn tell_delays<const SLAVES: usize, const MESSAGE: usize>(
         // fell silent.
         restart_loop(port, *station).await?;
         clocks.told_by = teller;
-    }
-    // Delays of different measurements have different beginnings.
-    let mut there = clocks.slaves.iter().enumerate();
-    if clocks.are_due || there.any(|(position, slave)| is_there(position, slave) && !slave.measured) {
-        measure(port, stations, clocks, &answers).await?;
     }
     for (position, station) in stations.iter().enumerate() {
         let delay_ns = clocks.delay_from_ns(source, position);

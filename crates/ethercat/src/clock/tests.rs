@@ -75,6 +75,8 @@ struct Chain {
     distributes: bool,
     /// Whether the second slave hangs alone at port 3 of the first, and the others behind its port 1.
     is_junction: bool,
+    /// Reads of station addresses that are still lost.
+    losses: usize,
     frames: usize,
     log: String,
 }
@@ -110,6 +112,7 @@ impl Chain {
             true_ns: 7_000_000_123,
             distributes: false,
             is_junction: false,
+            losses: 0,
             frames: 0,
             log: String::new(),
         }
@@ -182,6 +185,13 @@ impl Chain {
             self.log.push(' ');
         }
         self.log.push_str(&std::format!("{:?}:{at:04x}", request.command));
+        if self.losses > 0 && at == register::STATION_ADDRESS {
+            self.losses -= 1;
+            return Reply {
+                data,
+                outcome: Outcome::Lost,
+            };
+        }
         if request.command == Command::Bwr && at == register::DC_RECEIVE_TIME {
             self.latch();
             working_counter = self.slaves.len() as u16;
@@ -504,40 +514,67 @@ fn after_a_change_of_the_chain_its_cables_are_measured_anew_once() {
     }
 }
 
+/// Each pair of places, also one place twice.
+fn pairs_of_places() -> impl Iterator<Item = (usize, usize)> {
+    (0..4).flat_map(|one| (0..4).map(move |other| (one, other)))
+}
+
+/// Asserts that the first slave of the chain distributes its time, and that each is told its delay from that one.
+fn assert_told_by_the_first(chain: &Chain, clocks: &BusClocks<16>, what: &str) {
+    let delay = |slave: &Model| read_u32(&slave.memory, usize::from(register::DC_DELAY));
+    let told: StdVec<u32> = chain.slaves.iter().map(delay).collect();
+    assert_eq!(told, [0, 500, 1_000, 1_500], "{what}");
+    let reference = clocks.reference_clock(&STATIONS, |_| true).expect("a reference");
+    assert_eq!(reference.station, chain.stations[0], "{what}");
+    let times: StdVec<u64> = chain
+        .slaves
+        .iter()
+        .map(|slave| slave.system_ns(chain.true_ns))
+        .collect();
+    assert!(times.iter().all(|time_ns| *time_ns == times[0]), "{what}: {times:?}");
+}
+
 #[test]
-fn slaves_that_stand_elsewhere_are_told_the_delays_of_their_new_places() {
-    let places = || (0..4).flat_map(|one| (0..4).map(move |other| (one, other)));
-    for ((one, other), again) in places().flat_map(|first| places().map(move |again| (first, again))) {
+fn slaves_that_were_exchanged_with_power_are_told_the_delays_of_their_new_places() {
+    for (first, second) in pairs_of_places().flat_map(|first| pairs_of_places().map(move |second| (first, second))) {
+        // The looks through the chain that are lost, each with all its repetitions.
+        for lost_looks in 0..2 {
+            let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 123_456, 0)]);
+            let mut clocks = chain.set_up();
+            for (one, other) in [first, second] {
+                chain.exchange(one, other);
+                clocks.chain_changed();
+                for look in 0..=lost_looks {
+                    chain.losses = if look < lost_looks { 1_000 } else { 0 };
+                    let told = chain.run(async |mut port: AcyclicPort<'static, 64>| {
+                        tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await
+                    });
+                    assert_eq!(told.is_ok(), look == lost_looks, "{told:?}");
+                }
+                assert_told_by_the_first(&chain, &clocks, &std::format!("{one} for {other}"));
+            }
+        }
+    }
+}
+
+#[test]
+fn slaves_that_were_exchanged_and_one_of_them_off_agree_again() {
+    for (first, second) in pairs_of_places().flat_map(|first| pairs_of_places().map(move |second| (first, second))) {
         let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 123_456, 0)]);
         let mut clocks = chain.set_up();
-        for (one, other) in [(one, other), again] {
+        for (one, other) in [first, second] {
             chain.exchange(one, other);
-            // The first of them was switched off meanwhile.
             let off = usize::from(chain.stations[other] - STATIONS[0]);
             chain.slaves[other].start_ns += 1 << 33;
             clocks.was_off(off);
             clocks.chain_changed();
-            let answers = |number: usize| number != off;
             chain
                 .run(async |mut port: AcyclicPort<'static, 64>| {
-                    tell_delays(&mut port, &STATIONS, &mut clocks, answers).await?;
+                    tell_delays(&mut port, &STATIONS, &mut clocks, |number| number != off).await?;
                     restore(&mut port, &STATIONS, &mut clocks, off, |_| true).await
                 })
                 .expect("the repair");
-            let delay = |slave: &Model| read_u32(&slave.memory, usize::from(register::DC_DELAY));
-            let told: StdVec<u32> = chain.slaves.iter().map(delay).collect();
-            assert_eq!(told, [0, 500, 1_000, 1_500], "{one} for {other}");
-            let reference = clocks.reference_clock(&STATIONS, |_| true).expect("a reference");
-            assert_eq!(reference.station, chain.stations[0], "{one} for {other}");
-            let times: StdVec<u64> = chain
-                .slaves
-                .iter()
-                .map(|slave| slave.system_ns(chain.true_ns))
-                .collect();
-            assert!(
-                times.iter().all(|time_ns| *time_ns == times[0]),
-                "{one} for {other}: {times:?}"
-            );
+            assert_told_by_the_first(&chain, &clocks, &std::format!("{one} for {other}"));
         }
     }
 }

@@ -372,7 +372,12 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
     pub(super) async fn tell_delays(&mut self) {
         let (stations, there) = (self.stations(), self.answering());
         let answers = |position: usize| there.get(position).is_some_and(|there| *there);
+        let before = self.distributor();
         let _ = clock::tell_delays(&mut self.port, &stations, &mut self.clocks, answers).await;
+        if self.distributor() != before {
+            // The chain has another first slave.
+            self.send_plan().await;
+        }
     }
 
     /// The station addresses of all slaves.

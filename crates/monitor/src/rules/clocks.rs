@@ -60,13 +60,26 @@ impl Clocks {
         let Some((first, first_ns)) = clocks.next().filter(|_| self.quiet_ms > QUIET_MS) else {
             return Ok(());
         };
-        let apart = clocks.map(|(slave, ns)| (slave, difference_ns(ns, first_ns)));
-        match apart.max_by_key(|(_, apart_ns)| apart_ns.unsigned_abs()) {
-            Some((slave, apart_ns)) if apart_ns.unsigned_abs() > APART_NS => {
-                let text = format!("the clocks of slaves {first} and {slave} are {apart_ns} ns apart");
+        let (mut least, mut most) = ((first, 0_i32), (first, 0));
+        for (slave, ns) in clocks {
+            let ahead_ns = difference_ns(ns, first_ns);
+            if ahead_ns < least.1 {
+                least = (slave, ahead_ns);
+            }
+            if ahead_ns > most.1 {
+                most = (slave, ahead_ns);
+            }
+        }
+        let apart_ns = most.1.abs_diff(least.1);
+        match apart_ns > APART_NS {
+            true => {
+                let text = format!(
+                    "the clock of slave {} is {apart_ns} ns ahead of that of slave {}",
+                    most.0, least.0
+                );
                 Err((Rule::Clocks, text))
             }
-            _ => Ok(()),
+            false => Ok(()),
         }
     }
 }
@@ -106,6 +119,22 @@ mod tests {
         assert_eq!(run(-900, 1_200), Ok(()));
         for apart_ns in [1_100, -1_100] {
             assert!(broken(&run(apart_ns, 1_200), Rule::Clocks));
+        }
+    }
+
+    #[test]
+    fn every_two_clocks_are_compared() {
+        let run = |ahead_ns: [i64; 3]| {
+            let mut rig = Rig::idle();
+            (1..=1_200_u64).try_for_each(|ms| {
+                let right_ns = 1_000_000_000 + ms * 1_000_000;
+                rig.clocks_ns = ahead_ns.map(|ns| Some(right_ns.wrapping_add_signed(ns))).to_vec();
+                rig.step()
+            })
+        };
+        assert_eq!(run([0, 450, -450]), Ok(()));
+        for ahead_ns in [[0, 600, -600], [0, -600, 600], [600, -600, 0], [-600, 0, 600]] {
+            assert!(broken(&run(ahead_ns), Rule::Clocks), "{ahead_ns:?}");
         }
     }
 

@@ -54,6 +54,9 @@ const LEARNING_FACTOR: i64 = 10;
 const RATE_MAX_PPB: i64 = 100_000_000;
 const DRIFT_MAX_PPB: i64 = 1_000_000;
 
+/// Pulses with a period of a multiple of this keep their place in the segment's milliseconds, ns.
+const PLACE_NS: u32 = 1_000_000;
+
 /// State of the SYNC unit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum SyncState {
@@ -168,9 +171,10 @@ impl DistributedClock {
         std::mem::take(&mut self.unseen)
     }
 
-    /// Time to the next SYNC0 pulse, ns; `None` while none is generated.
+    /// Time to the next SYNC0 pulse, ns; `None` while none is generated, or not at the same place of each millisecond.
     pub(crate) fn pulse_ahead_ns(&self) -> Option<u64> {
-        let next_ns = self.next_ns.filter(|_| self.state() == SyncState::Running)?;
+        let keeps_place = self.state() == SyncState::Running && self.cycle_ns.is_multiple_of(PLACE_NS);
+        let next_ns = self.next_ns.filter(|_| keeps_place)?;
         Some(next_ns.saturating_sub(self.system_ns()))
     }
 

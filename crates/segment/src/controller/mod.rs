@@ -371,7 +371,7 @@ impl Controller {
         self.clock.take_pulses()
     }
 
-    /// Time to the next SYNC0 pulse, ns; `None` while none is generated.
+    /// Time to the next SYNC0 pulse, ns; `None` while none is generated, or not at the same place of each millisecond.
     pub(crate) fn pulse_ahead_ns(&self) -> Option<u64> {
         self.clock.pulse_ahead_ns()
     }

@@ -62,7 +62,7 @@ pub(crate) struct Slave {
     hung_for_ms: u64,
     outputs_received: bool,
     has_outputs: bool,
-    /// Whether a SYNC0 pulse came since the last millisecond: then the device takes its outputs and shows its inputs.
+    /// Whether a SYNC0 pulse came since the last frame or millisecond: then the device takes its outputs and shows its inputs.
     is_pulsed: bool,
     files: FileServer,
     /// Remaining time to the announcement of an Ethernet address, ms.
@@ -197,12 +197,18 @@ impl Slave {
         self.refusals.push((state, code));
     }
 
-    /// Handles the arrival of a frame that will come back to the ports at `back_ns`.
+    /// Handles the arrival of a frame that will come back to the ports at `back_ns`. At a SYNC0 pulse before it, the device
+    /// takes the outputs of the frames before, and shows its inputs.
     pub(crate) fn begin_frame(&mut self, arrival_ns: u64, back_ns: [Option<u64>; PORTS]) {
         self.controller.begin_frame(arrival_ns, back_ns);
+        let runs = self.is_powered() && self.hung_ms == 0 && !self.is_alone();
+        if self.controller.take_pulses() > 0 && runs {
+            self.has_outputs = self.take_outputs();
+            self.put_inputs();
+        }
     }
 
-    /// Time to the slave's next SYNC0 pulse, ns; `None` while it generates none.
+    /// Time to the slave's next SYNC0 pulse, ns; `None` while it generates none, or not at the same place of each millisecond.
     pub(crate) fn pulse_ahead_ns(&self) -> Option<u64> {
         self.controller.pulse_ahead_ns().filter(|_| self.is_powered())
     }

@@ -107,38 +107,101 @@ fn a_sync_unit_is_checked_on_the_way_to_op() {
     assert_eq!(rig.al_status(station), (8, 0), "free run again");
 }
 
-#[test]
-fn a_drive_takes_outputs_and_shows_inputs_at_the_pulses_only() {
+const PULSED: u16 = 0x1002;
+
+/// Outputs of a drive that is to turn.
+fn turning(control: u8) -> [u8; 6] {
+    [0x20, 0x4E, 0, 0, control, 0]
+}
+
+/// A chain whose second slave is a drive that turns, with SYNC0 of this period.
+fn pulsed(cycle_ns: u32) -> TestRig {
     let mut rig = chain(4, 0.0);
     rig.mailboxes();
     rig.request(2);
-    let station = 0x1002;
-    assert_eq!(rig.download(station, 0x6060, 0, &[0xFE]), 0);
+    assert_eq!(rig.download(PULSED, 0x6060, 0, &[0xFE]), 0);
     rig.process_data();
-    let now = rig.read(station, 0x0910, 8);
+    let now = rig.read(PULSED, 0x0910, 8);
     let now = u64::from_le_bytes(std::array::from_fn(|byte| now[byte]));
-    rig.write(station, 0x09A0, &10_000_000u32.to_le_bytes());
-    rig.write(station, 0x0990, &(now + 20_000_000).to_le_bytes());
-    rig.write(station, 0x0981, &[3]);
-    rig.write(station, 0x0120, &[4, 0]);
-    let outputs = |control: u8| [0x20, 0x4E, 0, 0, control, 0];
+    rig.write(PULSED, 0x09A0, &cycle_ns.to_le_bytes());
+    rig.write(PULSED, 0x0990, &(now + 20_000_000).to_le_bytes());
+    rig.write(PULSED, 0x0981, &[3]);
+    rig.write(PULSED, 0x0120, &[4, 0]);
     for _ in 0..30 {
-        rig.ask(FPWR, station, 0x1100, &outputs(0));
+        rig.ask(FPWR, PULSED, 0x1100, &turning(0));
     }
-    rig.write(station, 0x0120, &[8, 0]);
+    rig.write(PULSED, 0x0120, &[8, 0]);
     for control in [6, 7, 15] {
         for _ in 0..25 {
-            rig.write(station, 0x1100, &outputs(control));
+            rig.write(PULSED, 0x1100, &turning(control));
         }
     }
     assert_eq!(rig.bus.slaves()[1].drive, DriveState::OperationEnabled);
+    rig
+}
+
+#[test]
+fn a_drive_takes_outputs_and_shows_inputs_at_the_pulses_only() {
+    let mut rig = pulsed(10_000_000);
     let mut positions = Vec::new();
     for _ in 0..50 {
-        rig.write(station, 0x1100, &outputs(15));
-        positions.push(rig.read(station, 0x1140, 4));
+        rig.write(PULSED, 0x1100, &turning(15));
+        positions.push(rig.read(PULSED, 0x1140, 4));
     }
     let changes = positions.windows(2).filter(|pair| pair[0] != pair[1]).count();
     assert!((9..=11).contains(&changes), "{changes} changes in 100 ms");
+}
+
+#[test]
+fn a_motor_turns_as_fast_whatever_the_period_of_sync0_is() {
+    let turned = |cycle_ns: u32| {
+        let mut rig = pulsed(cycle_ns);
+        let before_rad = motors(&rig)[1].angle_rad;
+        for _ in 0..1_000 {
+            rig.write(PULSED, 0x1100, &turning(15));
+        }
+        motors(&rig)[1].angle_rad - before_rad
+    };
+    let right_rad = turned(1_000_000);
+    assert!(right_rad > 1.0, "{right_rad}");
+    for cycle_ns in [
+        125_000, 250_000, 500_000, 1_234_567, 1_500_000, 2_000_000, 2_500_000, 4_000_000,
+    ] {
+        let part = turned(cycle_ns) / right_rad;
+        assert!((0.99..1.01).contains(&part), "{cycle_ns} ns: {part}");
+    }
+}
+
+#[test]
+fn outputs_that_come_behind_the_pulse_wait_for_the_next_one() {
+    const STOP: [u8; 6] = [0, 0, 0, 0, 15, 0];
+    // How far the motor turns if the outputs that stop it come so long behind a pulse, us.
+    let turned = |behind_us: i64| {
+        let mut rig = pulsed(4_000_000);
+        let begun_us = rig.time_us;
+        let time = |bytes: Vec<u8>| u64::from_le_bytes(std::array::from_fn(|byte| bytes[byte]));
+        let now_ns = time(rig.read(PULSED, 0x0910, 8));
+        // The pulse of three periods later.
+        let ahead_ns = time(rig.read(PULSED, 0x0990, 8)) + 12_000_000 - now_ns;
+        let before_rad = motors(&rig)[1].angle_rad;
+        let at_us = begun_us.saturating_add_signed(ahead_ns as i64 / 1_000 + behind_us);
+        while rig.time_us + 1_000 < at_us {
+            rig.write(PULSED, 0x1100, &turning(15));
+        }
+        rig.time_us = at_us;
+        rig.write(PULSED, 0x1100, &STOP);
+        for _ in 0..30 {
+            rig.write(PULSED, 0x1100, &STOP);
+        }
+        motors(&rig)[1].angle_rad - before_rad
+    };
+    let early_rad = turned(-3);
+    for late_us in [1, 5, 900] {
+        let more_rad = turned(late_us) - early_rad;
+        let period_rad = early_rad * 4.0 / 12.0;
+        println!("{late_us} us: {more_rad} of {period_rad} rad");
+        assert!((0.5..1.5).contains(&(more_rad / period_rad)));
+    }
 }
 
 #[test]
