@@ -1,7 +1,7 @@
 //! Bring-up, loss and recovery of drives: the master against a small chain.
 
 use super::fake::{FakeSegment, FakeSlave};
-use super::rig::{Bench, Drives, Losses, MAC, MESSAGE, Next, SLAVES, run};
+use super::rig::{Bench, Drives, Losses, MESSAGE, Next, SLAVES, run};
 use core::pin::pin;
 use core::task::{Context, Poll, Waker};
 use etherpen_ethercat::BusQueues;
@@ -339,13 +339,7 @@ fn with_dictionary<T>(
     let station = usize::from(register::STATION_ADDRESS);
     segment.slaves[0].memory[station..station + 2].copy_from_slice(&STATION_BASE.to_le_bytes());
     harm(&mut segment.slaves[0]);
-    let mut bench = Bench {
-        segment,
-        exchange: Exchange::new(exchange_end, MAC),
-        losses,
-        frames: 0,
-        first_frames: 0,
-    };
+    let mut bench = Bench::new(segment, exchange_end, losses);
     let window = |start| MailboxWindow { start, length: 512 };
     let mut mailbox = Mailbox::new::<MESSAGE>(STATION_BASE, window(0x1800), window(0x1C00)).unwrap();
     let mut dictionary = ObjectDictionary::new(&mut supervisor_end.port, &mut mailbox);

@@ -62,6 +62,8 @@ pub(crate) struct FakeSlave {
     pub(crate) reads_sii: bool,
     /// Number of FMMUs; a write that reaches beyond them is refused.
     pub(crate) fmmus: usize,
+    /// Whether it answers where its inputs are mapped.
+    pub(crate) gives_inputs: bool,
     unread: Option<u8>,
     answers: Vec<Vec<u8>>,
     fetched: Vec<u8>,
@@ -97,6 +99,7 @@ impl FakeSlave {
             switch: None,
             reads_sii: false,
             fmmus: 16,
+            gives_inputs: true,
             unread: None,
             answers: Vec::new(),
             fetched: Vec::new(),
@@ -355,7 +358,7 @@ impl FakeSlave {
             }
             let start = usize::from(mapping.physical_start);
             let window = &mut data[offset..offset + usize::from(mapping.length)];
-            if mapping.reads && repr.command.reads() {
+            if mapping.reads && repr.command.reads() && self.gives_inputs {
                 window.copy_from_slice(&self.memory[start..][..window.len()]);
                 counter += 1;
             }

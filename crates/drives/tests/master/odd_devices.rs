@@ -458,3 +458,69 @@ fn inputs_and_outputs_travel_apart_if_a_slave_in_use_does_not_support_them_toget
         );
     }
 }
+
+/// A chain of four drives, the third of which gives no inputs.
+fn without_inputs() -> FakeSegment {
+    let mut segment = FakeSegment::drives(4);
+    segment.slaves[2].gives_inputs = false;
+    segment
+}
+
+#[test]
+fn a_drive_whose_inputs_never_arrive_is_refused_after_a_second_and_taken_once_they_do() {
+    let (mut log, mut refused_ms) = (Vec::new(), None);
+    run(
+        without_inputs(),
+        |_| false,
+        |now_ms, bench, events| {
+            log.extend_from_slice(events);
+            match (refused_ms, refusals(events).pop()) {
+                (None, None) => assert!(now_ms < 4_000, "nobody is told: {log:#?}"),
+                (None, Some(refusal)) => {
+                    let (Some(2), Step::CyclicData, BusError::NoInputs { waited_ms }) = refusal else {
+                        panic!("{refusal:?}");
+                    };
+                    assert!((1_001..1_010).contains(&waited_ms), "{waited_ms} ms");
+                    assert_ne!(bench.segment.states()[2], 8);
+                    assert!(!log.contains(&BusEvent::Operational));
+                    (refused_ms, bench.segment.slaves[2].gives_inputs) = (Some(now_ms), true);
+                }
+                (Some(_), refusal) => assert_eq!(refusal, None),
+            }
+            match events.contains(&BusEvent::Operational) {
+                true => {
+                    assert_eq!(bench.segment.states(), [8; 4]);
+                    Next::Done
+                }
+                false => Next::On,
+            }
+        },
+    );
+}
+
+#[test]
+fn the_pauses_between_bring_ups_without_a_command_grow_to_half_a_minute() {
+    let mut expected_ms = [5_000, 10_000, 20_000, 30_000, 30_000].into_iter().peekable();
+    let mut ended_ms = None;
+    run(
+        without_inputs(),
+        |_| false,
+        |now_ms, _, events| {
+            for event in events {
+                match (event, ended_ms) {
+                    (BusEvent::Found { .. }, Some(ended_ms)) => {
+                        let (pause_ms, expected_ms) = (now_ms - ended_ms, expected_ms.next().unwrap());
+                        let is_expected = (expected_ms..expected_ms + 100).contains(&pause_ms);
+                        assert!(is_expected, "{pause_ms} ms instead of {expected_ms}");
+                    }
+                    (BusEvent::Refused { .. }, _) => ended_ms = Some(now_ms),
+                    _ => {}
+                }
+            }
+            match expected_ms.peek() {
+                None => Next::Done,
+                Some(_) => Next::On,
+            }
+        },
+    );
+}
