@@ -7,3 +7,4 @@ mod identity;
 mod odd_devices;
 mod repair;
 mod rig;
+mod services;
