@@ -165,7 +165,7 @@ impl Orders {
             power_ended_ms: self.power_ended_ms,
             stop_open_since_ms: open,
             cut_since_ms: cut,
-            speed_override: self.speed_override,
+            speed_override: self.speed_override.clone(),
             ..Self::default()
         };
         self.speed_override
