@@ -103,16 +103,13 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         if let Some(slave) = self.slaves.get_mut(number) {
             slave.port_errors = now;
         }
-        if now.iter().zip(before).all(|(now, before)| *now <= before) {
-            return;
-        }
-        let partners = self.partners(number);
-        for (port, ((now, before), partner)) in (0..).zip(now.into_iter().zip(before).zip(partners)) {
+        for (port, (now, before)) in (0_u8..).zip(now.into_iter().zip(before)) {
             if now > before {
+                let partners = self.partners(number);
                 let event = BusEvent::CableErrors {
                     position: number as u8,
                     port,
-                    partner,
+                    partner: partners.get(usize::from(port)).copied().flatten(),
                     count: now - before,
                 };
                 self.emit(event).await;

@@ -331,7 +331,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         self.number_of(station).filter(|number| *number < self.ordered)
     }
 
-    /// The places between a slave's neighbours; all for an extra slave.
+    /// The places between a slave's neighbours, none if they have changed places; all for an extra slave.
     fn between(&self, number: usize, places: &Places) -> Range<usize> {
         let (mut first, mut last) = (0, places.len());
         if number < self.ordered {
@@ -343,7 +343,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 .iter()
                 .position(|there| rank(there).is_some_and(|there| there > number));
             first = before.map_or(first, |place| place + 1);
-            last = after.unwrap_or(last).max(first);
+            last = after.unwrap_or(last);
         }
         first..last
     }

@@ -12,6 +12,7 @@ use super::super::no_drivers::NoDrivers;
 use super::super::process_data::cyclic_slave;
 use super::super::slave::Slave;
 use super::super::state::{AlReport, AlState};
+use super::super::wire::register::{DlStatus, ErrorCounters, PortErrors, PortStatus};
 use super::super::wire::{Address, Command, register};
 use super::super::{ApplicationEnd, BusQueues};
 use super::*;
@@ -30,6 +31,7 @@ type TestBus = Bus<'static, NoDrivers, SLAVES, MESSAGE>;
 struct Device {
     station: u16,
     al_status: u8,
+    errors: ErrorCounters,
 }
 
 impl Device {
@@ -37,6 +39,7 @@ impl Device {
         Self {
             station,
             al_status: AlState::Init as u8,
+            errors: ErrorCounters::default(),
         }
     }
 
@@ -47,6 +50,7 @@ impl Device {
             (register::STATION_ADDRESS, false) => data[..2].copy_from_slice(&self.station.to_le_bytes()),
             (register::AL_CONTROL, true) => self.al_status = data[0] & register::AL_STATE_MASK as u8,
             (register::AL_STATUS, false) => data[0] |= self.al_status,
+            (register::RECEIVE_ERRORS, false) => assert_eq!(self.errors.emit(data), Ok(())),
             _ => return false,
         }
         true
@@ -350,6 +354,23 @@ fn a_slave_that_was_put_elsewhere_with_its_mark_is_not_the_one_at_its_former_pla
 }
 
 #[test]
+fn nobody_is_taken_for_a_slave_whose_neighbours_have_changed_places() {
+    let chain = [STATION_BASE + 2, 0, STATION_BASE].map(Device::at);
+    let (mut outside, mut bus) = Outside::with_bus(&chain);
+    bus.slaves = (0..3).map(Slave::at).collect();
+    bus.ordered = 3;
+    let Err(failure) = outside.run(bus.repair(1)) else {
+        panic!("a slave was taken");
+    };
+    let error = BusError::SlaveCount { expected: 3, actual: 3 };
+    assert_eq!(
+        (failure.position, failure.step, failure.error),
+        (Some(1), Step::Locate, error)
+    );
+    assert_eq!(outside.stations(), [STATION_BASE + 2, 0, STATION_BASE]);
+}
+
+#[test]
 fn a_slave_with_the_temporary_address_loses_it_and_counts_as_one_without_an_address() {
     let chain = [STATION_BASE, STATION_TEMPORARY].map(Device::at);
     let (mut outside, mut bus) = Outside::with_bus(&chain);
@@ -390,4 +411,57 @@ fn the_distributor_is_the_first_slave_that_answers_with_the_time_of_the_bus() {
     assert_eq!(bus.distributor(), Some(1));
     bus.slaves[1].condition = Condition::Lost;
     assert_eq!(bus.distributor(), Some(2));
+}
+
+#[test]
+fn a_cable_is_reported_by_each_end_that_has_counted_more_errors_than_before() {
+    let chain = [0, 1, 2].map(|number| Device::at(STATION_BASE + number));
+    let (mut outside, mut bus) = Outside::with_bus(&chain);
+    bus.slaves = (0..3).map(Slave::at).collect();
+    // A line: frames go on through port 1 of all but the last.
+    for (slave, open) in bus.slaves.iter_mut().zip([2, 2, 1]) {
+        let ports = core::array::from_fn(|port| PortStatus {
+            link: port < open,
+            loop_closed: port >= open,
+            communication: port < open,
+        });
+        slave.dl_status = DlStatus {
+            ports,
+            ..DlStatus::default()
+        }
+        .bits();
+    }
+    let of_port = |invalid_frames, receive_errors, lost_links| PortErrors {
+        invalid_frames,
+        receive_errors,
+        lost_links,
+        ..PortErrors::default()
+    };
+    let event = |position, port, partner, count| BusEvent::CableErrors {
+        position,
+        port,
+        partner,
+        count,
+    };
+    let unchanged = PortErrors::default();
+    // Counters of the ports of the second slave, and what is reported.
+    for (ports, expected) in [
+        ([unchanged; 2], &[][..]),
+        (
+            [of_port(2, 5, 0), of_port(0, 0, 3)],
+            &[event(1, 0, Some(0), 5), event(1, 1, Some(2), 3)],
+        ),
+        ([of_port(2, 5, 0), of_port(0, 0, 3)], &[]),
+        ([of_port(2, 5, 0), of_port(1, 0, 3)], &[event(1, 1, Some(2), 1)]),
+        // Somebody has cleared them.
+        ([unchanged; 2], &[]),
+        ([unchanged, of_port(1, 1, 0)], &[event(1, 1, Some(2), 1)]),
+    ] {
+        outside.chain[1].errors.ports[..2].copy_from_slice(&ports);
+        for _ in 0..bus.slaves.len() {
+            outside.run(bus.check_cables());
+        }
+        assert_eq!(outside.events, expected, "{ports:?}");
+        outside.events.clear();
+    }
 }
