@@ -78,6 +78,8 @@ again! {
         a_link_that_is_away_for_a_moment_during_the_bring_up_costs_nothing_for_ever,
         a_loose_contact_of_an_unused_slave_takes_no_drive_out_of_operation;
     files [crate::files]
+        a_file_of_any_length_is_read_as_it_was_written_packet_by_packet,
+        after_boot_objects_are_read_also_where_another_master_has_brought_the_drive_to_preop,
         an_acknowledgement_leaves_a_drive_in_boot_and_repairs_it_after_the_transfer,
         another_drive_is_repaired_while_one_is_in_boot,
         a_file_that_nobody_asks_for_in_10_s_protects_its_drive_no_more,

@@ -6,6 +6,8 @@ use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::event::Step;
 use etherpen::ethercat::state::AlState as Asked;
 use etherpen::ethercat::supervisor::{BusCommand, BusEvent};
+use etherpen::ethercat::wire::coe::Object;
+use etherpen::ethercat::wire::{Address, Command, FRAME_LEN_MAX, FrameBuilder, FrameView, register};
 use etherpen::robots::AXES;
 use etherpen_segment::FileFault;
 use host_tools::cell::{AlState, CellOptions, Fault, SlaveList};
@@ -93,6 +95,91 @@ fn acknowledge(rig: &mut Rig<'_>) {
     rig.run_ms(20);
     assert!(rig.inputs.iter().all(Option::is_some));
     assert_eq!(state(rig), AlState::Operational);
+}
+
+/// Writes registers of the slave without the master.
+fn write_as_another(rig: &mut Rig<'_>, register: u16, bytes: &[u8]) {
+    let mut frame = [0; FRAME_LEN_MAX];
+    let mut builder = FrameBuilder::new(&mut frame, [0x10, 0, 0, 0, 0, 2]).expect("room");
+    let address = Address::station(0x1001 + u16::from(SLAVE), register);
+    let data = builder.push(Command::Fpwr, 0xEE, address, bytes.len()).expect("room");
+    data.copy_from_slice(bytes);
+    let length = builder.finish();
+    let replies = rig.cell.frame_at_ns(rig.sample_ns(), &frame[..length]);
+    let view = FrameView::new_checked(&replies[0]).expect("a frame");
+    let datagram = view.datagrams().next().expect("a datagram").expect("a whole one");
+    assert_eq!(datagram.working_counter(), 1, "{register:#06x}");
+}
+
+#[test]
+pub(crate) fn a_file_of_any_length_is_read_as_it_was_written_packet_by_packet() {
+    let mut rig = drives();
+    // A packet has 244 bytes: the mailbox of PREOP less two headers. One that is full is not the last.
+    for length in [0, 1, 243, 244, 245, 488, 700, 1_000] {
+        let content: Vec<u8> = (0..length).map(|at: usize| (at * 7 + at / 256) as u8).collect();
+        open(&mut rig);
+        let mut pieces: Vec<&[u8]> = content.chunks(100).collect();
+        let end = pieces.pop().unwrap_or_default();
+        for (piece, last) in pieces.into_iter().map(|piece| (piece, false)).chain([(end, true)]) {
+            let piece = Piece::from_slice(piece).expect("a short piece");
+            let slave = SLAVE;
+            let written = rig.ask(ServiceRequest::WriteFile { slave, piece, last });
+            assert_eq!(written, Ok(ServiceReply::Done));
+        }
+        close(&mut rig);
+        let file = FileRequest {
+            name: Name::try_from("fw.bin").expect("a short name"),
+            password: 0,
+            writes: false,
+            bootstrap: false,
+        };
+        let opened = rig.ask(ServiceRequest::OpenFile { slave: SLAVE, file });
+        assert_eq!(opened, Ok(ServiceReply::Done), "{length} bytes");
+        let mut read = Vec::new();
+        loop {
+            match rig.ask(ServiceRequest::ReadFile { slave: SLAVE }) {
+                Ok(ServiceReply::FilePiece { piece, last }) => {
+                    read.extend(piece);
+                    if last {
+                        break;
+                    }
+                    assert!(read.len() <= length, "{length} bytes");
+                }
+                other => panic!("{length} bytes: {other:?}"),
+            }
+        }
+        close(&mut rig);
+        assert_eq!(read, content, "{length} bytes");
+    }
+}
+
+#[test]
+pub(crate) fn after_boot_objects_are_read_also_where_another_master_has_brought_the_drive_to_preop() {
+    let mut rig = drives();
+    open(&mut rig);
+    write_pieces(&mut rig, 0..10);
+    close(&mut rig);
+    assert_eq!(state(&rig), AlState::Init);
+    // The mailboxes of PREOP: start, length, control and activation of each.
+    let mailboxes = [
+        [0x00, 0x10, 0x00, 0x01, 0x26, 0, 1, 0],
+        [0x00, 0x12, 0x00, 0x01, 0x22, 0, 1, 0],
+    ];
+    // Those of BOOT are switched off first: what is on cannot be changed.
+    write_as_another(&mut rig, register::sync_manager(0), &[0; 16]);
+    write_as_another(&mut rig, register::sync_manager(0), mailboxes.as_flattened());
+    write_as_another(&mut rig, register::SII_CONFIG, &[register::SII_TO_PDI]);
+    write_as_another(&mut rig, register::AL_CONTROL, &[AlState::PreOperational as u8, 0]);
+    rig.run_ms(100);
+    assert_eq!(state(&rig), AlState::PreOperational);
+    let name = rig.value(ServiceRequest::Upload {
+        slave: SLAVE,
+        object: Object::new(0x1008, 0),
+        complete: false,
+        offset: 0,
+    });
+    assert_eq!(name, b"etherpen CiA 402 drive");
+    assert_eq!(state(&rig), AlState::PreOperational);
 }
 
 #[test]
