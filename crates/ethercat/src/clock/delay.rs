@@ -55,6 +55,20 @@ impl PortTimes {
             .collect()
     }
 
+    /// Time from the entry until the frame was back from everything behind the open ports, ns.
+    pub(super) fn span_ns(&self) -> u32 {
+        let ports = (0..PORTS as u8).filter(|port| self.is_open(*port));
+        ports.map(|port| self.since_entry_ns(port)).max().unwrap_or(0)
+    }
+
+    /// Whether another frame has passed every open port than the one of the times `before`.
+    pub(super) fn is_later_than(&self, before: &Self) -> bool {
+        let times = self.received_ns.iter().zip(&before.received_ns);
+        (0..)
+            .zip(times)
+            .all(|(port, (now, then))| !self.is_open(port) || now != then)
+    }
+
     /// Time from the entry until the frame was back from everything behind `port`, ns.
     fn since_entry_ns(&self, port: u8) -> u32 {
         let time_ns = |port: u8| self.received_ns.get(usize::from(port)).copied().unwrap_or(0);

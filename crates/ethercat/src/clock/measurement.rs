@@ -14,11 +14,14 @@ const PORT_TIMES_LEN: usize = 16;
 /// Bytes from the first port's receive time to the end of the processing unit's.
 const TIMES_LEN: usize = (register::DC_RECEIVE_TIME_UNIT - register::DC_RECEIVE_TIME) as usize + 8;
 
+/// How often a measurement is repeated in which not all slaves have latched the same frame: cables were being plugged.
+const TRIES_MAX: u8 = 3;
+
 /// Makes all slaves latch the times of one frame, and computes the delays. Slaves that do not answer keep theirs; `answers`
 /// returns false for those that are known to be lost, which are not waited for.
 ///
 /// # Errors
-/// As [`AcyclicPort::send_until_counted`].
+/// [`BusError::WorkingCounter`] if slaves have latched different frames each time; as [`AcyclicPort::send_until_counted`].
 pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
@@ -27,20 +30,14 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
 ) -> Result<(), BusError> {
     // Until the delays are taken, whatever ends this before.
     clocks.are_due = true;
-    // Only one latching frame counts: a repeated one would leave slaves with times of different frames.
-    port.broadcast_write(register::DC_RECEIVE_TIME, &[0; 4]).await?;
-    // Nobody knows where in the chain an extra slave is.
-    let ordered = clocks.slaves.iter_mut().take(clocks.ordered.into());
-    for (position, (station, slave)) in stations.iter().zip(ordered).enumerate() {
-        if !answers(position) {
-            slave.measured = false;
-            continue;
+    for attempt in 1..=TRIES_MAX {
+        match latch(port, stations, clocks, &answers).await {
+            Err(BusError::WorkingCounter { .. }) if attempt < TRIES_MAX => {}
+            latched => {
+                latched?;
+                break;
+            }
         }
-        slave.measured = match read_times(port, *station, slave).await {
-            // Another slave is lost; the frames bypass it.
-            Err(BusError::WorkingCounter { actual: 0, .. }) => false,
-            read => read.map(|()| true)?,
-        };
     }
     let is_junction = |slave: &SlaveClock| slave.ports.has_clock && slave.ports.open.count_ones() > 2;
     let has_junction = clocks.slaves.iter().any(|slave| slave.measured && is_junction(slave));
@@ -62,6 +59,45 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
     }
     clocks.are_due = false;
     Ok(())
+}
+
+/// Makes all slaves latch the times of one frame, and reads them.
+async fn latch<const SLAVES: usize, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    stations: &[u16],
+    clocks: &mut BusClocks<SLAVES>,
+    answers: impl Fn(usize) -> bool,
+) -> Result<(), BusError> {
+    // A reply comes within its cycle, so times that are further apart are those of different frames.
+    let apart_max_ns = clocks.period_ns;
+    let latched = port.broadcast_write(register::DC_RECEIVE_TIME, &[0; 4]).await?;
+    let (mut expected, mut is_whole) = (0, true);
+    // Nobody knows where in the chain an extra slave is.
+    let ordered = clocks.slaves.iter_mut().take(clocks.ordered.into());
+    for (position, (station, slave)) in stations.iter().zip(ordered).enumerate() {
+        if !answers(position) {
+            slave.measured = false;
+            continue;
+        }
+        let before = slave.ports;
+        slave.measured = match read_times(port, *station, slave).await {
+            // Another slave is lost; the frames bypass it.
+            Err(BusError::WorkingCounter { actual: 0, .. }) => false,
+            read => read.map(|()| true)?,
+        };
+        if slave.measured && slave.ports.has_clock {
+            expected += 1;
+            is_whole &= slave.ports.is_later_than(&before);
+            is_whole &= apart_max_ns == 0 || slave.ports.span_ns() < apart_max_ns;
+        }
+    }
+    match is_whole && latched >= expected {
+        true => Ok(()),
+        false => Err(BusError::WorkingCounter {
+            expected,
+            actual: latched,
+        }),
+    }
 }
 
 /// What is at one place of the chain.

@@ -1,0 +1,134 @@
+//! Measurements of a chain whose cables or slaves have changed.
+
+use super::*;
+
+#[test]
+fn after_a_change_of_the_chain_its_cables_are_measured_anew_once() {
+    let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 123_456, 0)]);
+    let mut clocks = chain.set_up();
+    clocks.chain_changed();
+    for measurements in [1, 0] {
+        chain.log.clear();
+        chain
+            .run(async |mut port: AcyclicPort<'static, 64>| {
+                tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await
+            })
+            .expect("the delays");
+        assert_eq!(chain.log.matches("Bwr:0900").count(), measurements);
+        assert!(!chain.log.contains("Fpwr"), "no cable has changed: {}", chain.log);
+    }
+}
+
+#[test]
+fn a_stranger_at_a_junction_changes_no_delay_of_the_others() {
+    let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 123_456, 0)]);
+    chain.is_junction = true;
+    let delays = |clocks: &BusClocks<16>| clocks.slaves.iter().map(|slave| slave.delay_ns).collect::<StdVec<_>>();
+    let all = delays(&chain.set_up());
+    assert_eq!(all, [0, 1, 3, 4].map(|hops| hops * HOP_NS as u32));
+    let known = [STATIONS[0], STATIONS[2], STATIONS[3]];
+    let clocks: BusClocks<16> = chain
+        .run(async |mut port: AcyclicPort<'static, 64>| {
+            let mut clocks = discover(&mut port, &known).await?;
+            measure(&mut port, &known, &mut clocks, |_| true).await?;
+            Ok::<_, BusError>(clocks)
+        })
+        .expect("the measurement");
+    assert_eq!(delays(&clocks), [all[0], all[2], all[3]]);
+}
+
+/// Each pair of places, also one place twice.
+fn pairs_of_places() -> impl Iterator<Item = (usize, usize)> {
+    (0..4).flat_map(|one| (0..4).map(move |other| (one, other)))
+}
+
+/// Asserts that the first slave of the chain distributes its time, and that each is told its delay from that one.
+fn assert_told_by_the_first(chain: &Chain, clocks: &BusClocks<16>, what: &str) {
+    let delay = |slave: &Model| read_u32(&slave.memory, usize::from(register::DC_DELAY));
+    let told: StdVec<u32> = chain.slaves.iter().map(delay).collect();
+    assert_eq!(told, [0, 500, 1_000, 1_500], "{what}");
+    let reference = clocks.reference_clock(&STATIONS, |_| true).expect("a reference");
+    assert_eq!(reference.station, chain.stations[0], "{what}");
+    let times: StdVec<u64> = chain
+        .slaves
+        .iter()
+        .map(|slave| slave.system_ns(chain.true_ns))
+        .collect();
+    assert!(times.iter().all(|time_ns| *time_ns == times[0]), "{what}: {times:?}");
+}
+
+#[test]
+fn slaves_that_were_exchanged_with_power_are_told_the_delays_of_their_new_places() {
+    for (first, second) in pairs_of_places().flat_map(|first| pairs_of_places().map(move |second| (first, second))) {
+        // The looks through the chain that are lost, each with all its repetitions.
+        for lost_looks in 0..2 {
+            let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 123_456, 0)]);
+            let mut clocks = chain.set_up();
+            for (one, other) in [first, second] {
+                chain.exchange(one, other);
+                clocks.chain_changed();
+                for look in 0..=lost_looks {
+                    chain.losses = if look < lost_looks { 1_000 } else { 0 };
+                    let told = chain.run(async |mut port: AcyclicPort<'static, 64>| {
+                        tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await
+                    });
+                    assert_eq!(told.is_ok(), look == lost_looks, "{told:?}");
+                }
+                assert_told_by_the_first(&chain, &clocks, &std::format!("{one} for {other}"));
+            }
+        }
+    }
+}
+
+#[test]
+fn times_of_different_frames_are_no_measurement() {
+    for (passed, times) in (0..4).flat_map(|passed| (0..5).map(move |times| (passed, times))) {
+        for lost in [None, Some(0), Some(2)] {
+            let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (NARROW, 42, 0), (WIDE, 123_456, 0)]);
+            let mut clocks = chain.set_up();
+            chain.cut = (times, passed);
+            clocks.chain_changed();
+            if let Some(lost) = lost {
+                chain.slaves[lost].start_ns += 1 << 33;
+                clocks.was_off(lost);
+            }
+            let mut repair = |chain: &mut Chain| {
+                chain.run(async |mut port: AcyclicPort<'static, 64>| match lost {
+                    Some(lost) => restore(&mut port, &STATIONS, &mut clocks, lost, |_| true).await,
+                    None => tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await,
+                })
+            };
+            let done = repair(&mut chain);
+            assert_eq!(done.is_ok(), times < 3, "{done:?}, {passed} slaves, {times} times");
+            let again = repair(&mut chain);
+            assert!(again.is_ok(), "{again:?}, {passed} slaves, {times} times");
+            let delay = |slave: &Model| read_u32(&slave.memory, usize::from(register::DC_DELAY));
+            let told: StdVec<u32> = chain.slaves.iter().map(delay).collect();
+            assert_eq!(told, [0, 500, 1_000, 1_500], "{passed} slaves, {times} times");
+            let time = |slave: &Model| slave.system_ns(chain.true_ns) as u32;
+            assert!(chain.slaves.iter().all(|slave| time(slave) == time(&chain.slaves[0])));
+        }
+    }
+}
+
+#[test]
+fn slaves_that_were_exchanged_and_one_of_them_off_agree_again() {
+    for (first, second) in pairs_of_places().flat_map(|first| pairs_of_places().map(move |second| (first, second))) {
+        let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 123_456, 0)]);
+        let mut clocks = chain.set_up();
+        for (one, other) in [first, second] {
+            chain.exchange(one, other);
+            let off = usize::from(chain.stations[other] - STATIONS[0]);
+            chain.slaves[other].start_ns += 1 << 33;
+            clocks.was_off(off);
+            clocks.chain_changed();
+            chain
+                .run(async |mut port: AcyclicPort<'static, 64>| {
+                    tell_delays(&mut port, &STATIONS, &mut clocks, |number| number != off).await?;
+                    restore(&mut port, &STATIONS, &mut clocks, off, |_| true).await
+                })
+                .expect("the repair");
+            assert_told_by_the_first(&chain, &clocks, &std::format!("{one} for {other}"));
+        }
+    }
+}
