@@ -228,6 +228,32 @@ fn motors_in_memory_follow_the_setpoints_as_on_a_bus() {
 }
 
 #[test]
+fn of_an_axis_that_a_new_configuration_has_no_drive_for_nothing_is_shown_that_was_measured_before() {
+    let mut rig = rig().ready();
+    rig.command(SamplerCommand::Follow { epoch: 1 });
+    rig.queue(1, 39);
+    let before = (0..30).map(|_| rig.millisecond(true)).last().unwrap();
+    assert!(before.measured_rad_s.iter().all(|rad_s| *rad_s > 0.1), "{before:?}");
+    assert!(
+        before.shown().iter().all(|at| at.is_some_and(|at| at > 0)),
+        "{before:?}"
+    );
+    for drives in [3, 2, 1] {
+        let mut config = Config::default();
+        config.bus.drives = drives;
+        rig.command(SamplerCommand::Configure {
+            axes: config.controlled_axes(),
+            bus: config.bus.clone(),
+        });
+        let after = rig.millisecond(true);
+        for axis in usize::from(drives)..AXES {
+            let shown = (after.measured_rad_s[axis], after.shown()[axis]);
+            assert_eq!(shown, (0.0, Some(0)), "axis {axis} of {drives}");
+        }
+    }
+}
+
+#[test]
 fn silent_drives_in_motion_are_stopped_and_the_fault_stays_until_it_is_cleared() {
     let mut rig = rig().ready();
     rig.command(SamplerCommand::Follow { epoch: 1 });

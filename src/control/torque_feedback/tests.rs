@@ -111,3 +111,33 @@ fn a_setpoint_that_leads_away_from_a_position_at_rest_is_not_followed() {
     model.expect(0.0);
     assert!(model.follows(0.0), "{:?}", model.used());
 }
+
+#[test]
+fn a_position_that_stays_is_found_soon_however_fast_the_axes_accelerate() {
+    let axis = Axis::default();
+    for greatest_rad_s2 in [200.0, 600.0, 2_000.0] {
+        let mut model = model(&axis);
+        let moving = Demanded {
+            own_rad_s: 2.0,
+            greatest_rad_s: 2.0,
+            greatest_rad_s2,
+            ..Demanded::default()
+        };
+        model.set_demanded(&moving);
+        let refused_ms = (1..=500).find(|_| {
+            model.expect(0.0);
+            !model.follows(0.0)
+        });
+        let led_rad = f64::from(moving.own_rad_s) * STEP_S * f64::from(refused_ms.unwrap_or(500));
+        // The limit of the deviation, two fifths of it, and what the delays of the drive take.
+        let delays_ms = axis.torque_lead_ms + axis.measurement_age_ms + 0.5;
+        let most_rad = 1.4 * axis.feedback_deviation_max_rad + delays_ms * STEP_S * f64::from(moving.own_rad_s);
+        let step_rad = STEP_S * f64::from(moving.own_rad_s);
+        assert!(
+            (most_rad - step_rad..most_rad + 2.0 * step_rad).contains(&led_rad),
+            "{greatest_rad_s2} rad/s2: after {led_rad} rad, not {most_rad}"
+        );
+        let [value, limit] = model.broken().expect("a comparison");
+        assert_eq!(value, model.stuck.value, "another comparison: {value} of {limit}");
+    }
+}
