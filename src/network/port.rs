@@ -35,7 +35,7 @@ impl embassy_net_driver::TxToken for ToSend<'_, '_> {
     fn consume<R, F: FnOnce(&mut [u8]) -> R>(self, length: usize, fill: F) -> R {
         let mut frame = Frame::new();
         // The stack respects the frame length that the port states.
-        let _ = frame.resize(length.min(FRAME_BYTES_MAX), 0);
+        let _ = frame.resize(length, 0);
         let result = fill(&mut frame);
         match UdpRepr::parse(&frame) {
             Ok((headers, _)) => self.path.set(Some(headers)),

@@ -44,21 +44,21 @@ fn arp_reply(request: &[u8], address: Ipv4Addr) -> Option<StdVec<u8>> {
     })
 }
 
-/// Runs a task with these settings for some milliseconds; `answer` returns the network's reply to each frame. Returns
+/// Runs a task with these settings for some milliseconds; `answer` returns the network's replies to each frame. Returns
 /// the changes of the path with their times.
-fn run(
+fn run<Answer: IntoIterator<Item = StdVec<u8>>>(
     settings: NetworkSettings,
     limit_ms: u32,
-    answer: impl FnMut(u32, &[u8]) -> Option<StdVec<u8>>,
+    answer: impl FnMut(u32, &[u8]) -> Answer,
 ) -> StdVec<(u32, Option<UdpRepr>)> {
     run_with(&[(0, Some(settings))], limit_ms, answer)
 }
 
 /// Runs a task whose settings change at these times, ms.
-fn run_with(
+fn run_with<Answer: IntoIterator<Item = StdVec<u8>>>(
     settings: &[(u32, Option<NetworkSettings>)],
     limit_ms: u32,
-    mut answer: impl FnMut(u32, &[u8]) -> Option<StdVec<u8>>,
+    mut answer: impl FnMut(u32, &[u8]) -> Answer,
 ) -> StdVec<(u32, Option<UdpRepr>)> {
     let queues = Box::leak(Box::new(NetworkQueues::new()));
     let (mut end, mut task, mut configure) = queues.split();
@@ -125,7 +125,7 @@ fn other_settings_end_the_path_at_once_and_lead_to_another_one() {
 
 #[test]
 fn nothing_is_reported_while_nobody_answers() {
-    assert!(run(settings(), 3_000, |_, _| None).is_empty());
+    assert!(run(settings(), 3_000, |_, _| None::<StdVec<u8>>).is_empty());
 }
 
 #[test]
@@ -141,6 +141,54 @@ fn a_segment_on_another_network_is_reached_through_the_gateway() {
         matches!(news[..], [(_, Some(path))] if path.destination_mac == PEER && path.destination == far.segment),
         "{news:?}"
     );
+}
+
+/// An echo request of `PEER` in an IP packet of this length.
+fn echo_request(length: u16) -> StdVec<u8> {
+    let checksum = |bytes: &[u8]| {
+        let words = bytes.chunks(2);
+        let sum: u32 = words
+            .map(|word| u32::from(word[0]) << 8 | word.get(1).map_or(0, |low| u32::from(*low)))
+            .sum();
+        (!((sum & 0xFFFF) + (sum >> 16)) as u16).to_be_bytes()
+    };
+    let [high, low] = length.to_be_bytes();
+    let mut packet = StdVec::from([0x45, 0, high, low, 0, 0, 0, 0, 64, 1, 0, 0]);
+    packet.extend(SEGMENT.octets());
+    packet.extend(OWN.octets());
+    let sum = checksum(&packet);
+    packet[10..12].copy_from_slice(&sum);
+    packet.extend([8, 0, 0, 0, 0x12, 0x34, 0, 1]);
+    packet.extend((28..length).map(|at| at as u8));
+    let sum = checksum(&packet[20..]);
+    packet[22..24].copy_from_slice(&sum);
+    [&MAC[..], &PEER, &[8, 0], &packet].concat()
+}
+
+#[test]
+fn an_echo_request_of_any_length_up_to_the_longest_packet_is_answered_whole() {
+    for length in [28, 29, 100, PACKET_BYTES_MAX - 1, PACKET_BYTES_MAX] {
+        let request = echo_request(length as u16);
+        let mut answers = StdVec::new();
+        run(settings(), 600, |_, frame| {
+            if frame.get(12..14) == Some(&[8, 0]) {
+                answers.push(frame.to_vec());
+            }
+            // As soon as the stack knows whom to answer.
+            let known = arp_reply(frame, SEGMENT);
+            known
+                .into_iter()
+                .flat_map(|known| [known, request.clone()])
+                .collect::<StdVec<_>>()
+        });
+        let [answer] = &answers[..] else {
+            panic!("{length} bytes: {answers:?}");
+        };
+        let ends = [&PEER[..], &MAC].concat();
+        assert_eq!((answer.len(), &answer[..12]), (14 + length, &ends[..]));
+        // An answer with the number and the data of the request.
+        assert_eq!((answer[34], &answer[38..]), (0, &request[38..]), "{length} bytes");
+    }
 }
 
 #[test]
