@@ -12,6 +12,8 @@ use std::fmt::Debug;
 
 /// For an axis that has not had a position yet.
 const NEVER: u16 = u16::MAX;
+/// Positions that make a speed.
+const SPEED_POSITIONS: u16 = 2;
 /// A value up to this share of its limit exceeds it by what rounding may decide.
 const LIMIT_SHARE: f32 = 1.01;
 /// Relative rounding of a number in single precision.
@@ -46,8 +48,10 @@ pub(super) struct Comparison<'a> {
     turns_rad: [f64; AXES],
     /// Milliseconds since each axis's last position, or [`NEVER`].
     blind_ms: [u16; AXES],
-    /// Milliseconds since each axis's first position.
+    /// Milliseconds since each axis has a speed.
     seen_ms: [u16; AXES],
+    /// Positions that each axis has shown.
+    positions: [u16; AXES],
 }
 
 impl<'a> Comparison<'a> {
@@ -68,6 +72,7 @@ impl<'a> Comparison<'a> {
             turns_rad: [0.0; AXES],
             blind_ms: [NEVER; AXES],
             seen_ms: [0; AXES],
+            positions: [0; AXES],
         }
     }
 
@@ -84,12 +89,13 @@ impl<'a> Comparison<'a> {
     /// Compares a millisecond, the `index`th of the replay. Until the controllers have forgotten what was before, only
     /// their state is followed.
     pub(super) fn step(&mut self, index: usize, now: &SampleEntry, report: &CycleReport) -> Finding {
-        for ((blind_ms, seen_ms), valid) in self.blind_ms.iter_mut().zip(&mut self.seen_ms).zip(now.valid) {
+        for (axis, valid) in now.valid.into_iter().enumerate() {
+            let (blind_ms, positions) = (&mut self.blind_ms[axis], &mut self.positions[axis]);
             *blind_ms = if valid { 0 } else { blind_ms.saturating_add(1) };
-            *seen_ms = match *blind_ms {
-                NEVER => 0,
-                _ => seen_ms.saturating_add(1),
-            };
+            *positions = positions.saturating_add(valid.into());
+            if *positions >= SPEED_POSITIONS {
+                self.seen_ms[axis] = self.seen_ms[axis].saturating_add(1);
+            }
         }
         let searches = self.config.has_home_switches() && now.following && now.homed != [true; AXES];
         self.has_searched |= self.was_homed && searches;
@@ -218,7 +224,7 @@ impl<'a> Comparison<'a> {
         if report.following != now.following {
             return words("following", &now.following, &report.following);
         }
-        // By how much an axis moved before its first position is not recorded.
+        // By how much an axis moved before its first positions is not recorded.
         let is_known = self.seen_ms.iter().all(|ms| *ms == 0 || *ms > STANDSTILL_MS);
         // The last speed of an axis that was silent all the time is not recorded either: it may have been no standstill.
         let drives = usize::from(self.config.bus.drives);
@@ -243,7 +249,9 @@ impl<'a> Comparison<'a> {
     /// By how much a replayed angle may differ from the recorded one, rad: the recording is rounded, and a position that
     /// is predicted goes on from a rounded speed.
     fn rounding_rad(&self, axis: usize, angle_rad: f64) -> f64 {
-        if self.blind_ms[axis] == NEVER {
+        // The speed before the first position, at which a prediction goes on, is not recorded.
+        let has_no_speed = self.blind_ms[axis] > 0 && self.positions[axis] < SPEED_POSITIONS;
+        if self.blind_ms[axis] == NEVER || has_no_speed {
             return f64::INFINITY;
         }
         let settings = &self.config.axes[axis];
