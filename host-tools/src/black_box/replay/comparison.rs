@@ -105,6 +105,10 @@ impl<'a> Comparison<'a> {
         self.was_latched = report.fault.is_some();
         self.was_homed = now.homed == [true; AXES];
         self.knows_fault |= !now.fault;
+        // It latched before the controllers had forgotten what was before, perhaps by what is not in the samples.
+        if index + 1 == SETTLED_MS && now.fault && report.fault.is_none() {
+            self.knows_fault = false;
+        }
         match (not_recorded, differs) {
             _ if index < SETTLED_MS => Finding::Agreed { latched: None },
             (Some(fault), _) => Finding::NotRecorded(fault),
