@@ -20,6 +20,7 @@ mod agreement;
 pub mod delay;
 mod measurement;
 pub mod steering;
+mod sync_signals;
 
 use super::acyclic::{AcyclicPort, Request};
 use super::error::BusError;
@@ -30,6 +31,7 @@ pub use agreement::{DIFFERENCE_MAX_NS, DIFFERENCE_TIMEOUT_MS, Settling, await_ag
 use delay::PortTimes;
 use heapless::Vec;
 pub use measurement::measure;
+pub use sync_signals::{SyncSignals, start_sync, stop_sync};
 
 /// Frames that distribute the reference's time before the clocks are used (static drift compensation).
 pub const SETTLING_FRAMES: u16 = 32;
@@ -114,6 +116,17 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
     /// FRMW writes a time that was expected a cycle before to clocks before that slave, so it has to be the first.
     fn distributor(&self, answers: impl Fn(usize) -> bool) -> Option<usize> {
         self.first(|number, slave| slave.width.is_some() && slave.is_set && answers(number))
+    }
+
+    /// Notes that another slave distributed its time until now: what it did to the present one's control loop has to go.
+    pub fn was_distributed_by_another(&mut self) {
+        self.told_by = None;
+    }
+
+    /// Whether frames pass one slave before the other.
+    pub fn is_before(&self, one: usize, other: usize) -> bool {
+        let place = |number: usize| self.slaves.get(number).map(|slave| slave.place);
+        place(one) < place(other)
     }
 
     /// Number of the first slave of the chain that is wanted.
@@ -423,6 +436,7 @@ pub async fn tell_delays<const SLAVES: usize, const MESSAGE: usize>(
     answers: impl Fn(usize) -> bool,
 ) -> Result<(), BusError> {
     let is_there = |position: usize, slave: &SlaveClock| slave.width.is_some() && slave.is_set && answers(position);
+    run_freely(port, stations, clocks, clocks.distributor(&answers)).await?;
     // Delays of different measurements have different beginnings.
     let mut there = clocks.slaves.iter().enumerate();
     if clocks.are_due || there.any(|(position, slave)| is_there(position, slave) && !slave.measured) {
@@ -430,27 +444,39 @@ pub async fn tell_delays<const SLAVES: usize, const MESSAGE: usize>(
     }
     // The slaves may stand in another order than before.
     let source = clocks.distributor(&answers);
-    let teller = source.map(|source| source as u8);
-    if let Some(station) = source.and_then(|source| stations.get(source))
-        && teller != clocks.told_by
-    {
-        // Its control loop has no reference any more, and would keep its last correction for ever: 10 % if the one before
-        // fell silent.
-        restart_loop(port, *station).await?;
-        clocks.told_by = teller;
-    }
+    run_freely(port, stations, clocks, source).await?;
     for (position, station) in stations.iter().enumerate() {
         let delay_ns = clocks.delay_from_ns(source, position);
         let Some(slave) = clocks.slaves.get_mut(position) else {
             break;
         };
         let is_told = slave.told_delay_ns.abs_diff(delay_ns) < DELAY_CHANGE_MIN_NS;
-        if is_told || !is_there(position, slave) {
+        // One that has not been set since its return follows the time already.
+        let follows = slave.width.is_some() && slave.measured && answers(position);
+        if is_told || !follows {
             continue;
         }
         port.write(*station, register::DC_DELAY, &delay_ns.to_le_bytes())
             .await?;
         slave.told_delay_ns = delay_ns;
+    }
+    Ok(())
+}
+
+/// Restarts the control loop of the slave that has begun to distribute its time: it has no reference any more, and would keep
+/// its last correction for ever, 10 % if the one before fell silent.
+async fn run_freely<const SLAVES: usize, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    stations: &[u16],
+    clocks: &mut BusClocks<SLAVES>,
+    source: Option<usize>,
+) -> Result<(), BusError> {
+    let teller = source.map(|source| source as u8);
+    if let Some(station) = source.and_then(|source| stations.get(source))
+        && teller != clocks.told_by
+    {
+        restart_loop(port, *station).await?;
+        clocks.told_by = teller;
     }
     Ok(())
 }
@@ -547,67 +573,6 @@ pub async fn follow<const SLAVES: usize, const MESSAGE: usize>(
     {
         clocks.extended_ns(read_u32(&bytes, 0).into(), port.now_ms());
     }
-}
-
-/// What a slave's sync signals are to be.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct SyncSignals {
-    /// The word of the device's description: low byte for register 0x0980, high byte for 0x0981.
-    pub assign_activate: u16,
-    /// Time from SYNC0 to SYNC1, ns.
-    pub sync1_ns: u32,
-    /// Time from the frames' pass of the reference to SYNC0, ns.
-    pub shift_ns: u32,
-}
-
-/// Starts SYNC0 of the slave at `position` with the period of the exchange, and SYNC1 if its signals say so, in PREOP, once its
-/// clock has the time of the bus. The start is right for clocks of either width. `answers` returns false for slaves that are lost.
-/// Returns the start time in the slave's own system time.
-///
-/// # Errors
-/// As [`AcyclicPort::send_all_until_counted`].
-pub async fn start_sync<const SLAVES: usize, const MESSAGE: usize>(
-    port: &mut AcyclicPort<'_, MESSAGE>,
-    stations: &[u16],
-    position: usize,
-    clocks: &mut BusClocks<SLAVES>,
-    signals: SyncSignals,
-    answers: impl Fn(usize) -> bool,
-) -> Result<u64, BusError> {
-    let station = stations.get(position).copied().unwrap_or(0);
-    let source = clocks.distributor(answers);
-    let delay_ns = clocks.delay_from_ns(source, position);
-    stop_sync(port, station).await?;
-    // The time to SYNC1 lies behind the period; another master may have left one.
-    let times = u64::from(signals.sync1_ns) << 32 | u64::from(clocks.period_ns);
-    port.write(station, register::DC_SYNC0_CYCLE, &times.to_le_bytes())
-        .await?;
-    // Its clock has the time of the bus; reads of both clocks may travel in frames of different cycles.
-    let local_ns = read_u64(&port.read(station, register::DC_SYSTEM_TIME, 8).await?, 0);
-    let passed_ns = local_ns.wrapping_sub(delay_ns.into());
-    let now_ns = clocks.extended_ns(passed_ns, port.now_ms());
-    let ahead_ns = clocks.start_time_ns(now_ns, signals.shift_ns).wrapping_sub(now_ns);
-    let start_ns = passed_ns.wrapping_add(ahead_ns);
-    port.write(station, register::DC_START_TIME, &start_ns.to_le_bytes())
-        .await?;
-    port.write(
-        station,
-        register::DC_CYCLIC_CONTROL,
-        &signals.assign_activate.to_le_bytes(),
-    )
-    .await?;
-    Ok(start_ns)
-}
-
-/// Stops SYNC0 and SYNC1 of a slave.
-///
-/// # Errors
-/// As [`AcyclicPort::send_until_counted`].
-pub async fn stop_sync<const MESSAGE: usize>(
-    port: &mut AcyclicPort<'_, MESSAGE>,
-    station: u16,
-) -> Result<(), BusError> {
-    port.write(station, register::DC_CYCLIC_CONTROL, &[0; 2]).await
 }
 
 #[cfg(test)]

@@ -36,6 +36,8 @@ struct Model {
     delay_ns: u64,
     /// Whether its features tell of a clock.
     latches: bool,
+    /// Whether the times of its ports stay what they are.
+    is_frozen: bool,
     /// Whether its time cannot be written.
     is_fixed: bool,
     /// How far its time swings round the reference's, ns, each way for [`SWING_NS`].
@@ -100,6 +102,7 @@ impl Chain {
                 memory: std::vec![0; 0x1000],
                 delay_ns: number * HOP_NS,
                 latches: width.is_some(),
+                is_frozen: false,
                 is_fixed: false,
                 swing_ns: 0,
             };
@@ -139,7 +142,7 @@ impl Chain {
         if self.is_junction {
             return self.latch_at_junction();
         }
-        for model in &mut self.slaves {
+        for model in self.slaves.iter_mut().filter(|model| !model.is_frozen) {
             let entry_ns = model.local_ns(self.true_ns + model.delay_ns);
             let behind_ns = 2 * (3 * HOP_NS - model.delay_ns);
             let back_ns = model.local_ns(self.true_ns + model.delay_ns + behind_ns);

@@ -132,3 +132,52 @@ fn slaves_that_were_exchanged_and_one_of_them_off_agree_again() {
         }
     }
 }
+
+#[test]
+fn a_slave_that_only_promises_to_latch_times_keeps_no_clock_from_being_set() {
+    for place in 0..4 {
+        let clocks: [_; 4] = core::array::from_fn(|slave| if slave == place { None } else { WIDE });
+        let mut chain = Chain::new(clocks.map(|width| (width, 42, 0)));
+        let other = &mut chain.slaves[place];
+        // Its features tell of times that stay what they are.
+        other.is_frozen = true;
+        other.put(register::FEATURES, &register::FEATURE_CLOCKS.to_le_bytes());
+        let mut clocks = chain.set_up();
+        for again in [false, true] {
+            if again {
+                clocks.chain_changed();
+                let told = chain.run(async |mut port: AcyclicPort<'static, 64>| {
+                    tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await
+                });
+                told.expect("the delays");
+            }
+            let delay = |slave: &Model| read_u32(&slave.memory, usize::from(register::DC_DELAY));
+            let told: StdVec<u32> = chain.slaves.iter().map(delay).collect();
+            let first = usize::from(place == 0);
+            let right = |slave: usize| {
+                if slave == place {
+                    0
+                } else {
+                    500 * (slave - first) as u32
+                }
+            };
+            assert_eq!(told, [0, 1, 2, 3].map(right), "place {place}, again {again}");
+        }
+    }
+}
+
+#[test]
+fn who_begins_to_distribute_its_time_runs_freely_even_if_the_cables_cannot_be_measured() {
+    for lost in [&[0][..], &[0, 1]] {
+        let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 123_456, 0)]);
+        let mut clocks = chain.set_up();
+        clocks.chain_changed();
+        chain.losses = 1_000;
+        chain.log.clear();
+        let told = chain.run(async |mut port: AcyclicPort<'static, 64>| {
+            tell_delays(&mut port, &STATIONS, &mut clocks, |number| !lost.contains(&number)).await
+        });
+        assert!(told.is_err());
+        assert_eq!(chain.log.matches("Fpwr:0930").count(), 1, "{}", chain.log);
+    }
+}
