@@ -231,7 +231,8 @@ fn events(
 }
 
 /// Commands beside the session that may follow an event, each with its time after it, ms: as many as the line takes for some
-/// ten milliseconds with a stop behind them, or a stop while a new connection is being made.
+/// ten milliseconds with a stop behind them, orders that pile up while the trajectory waits and a stop among them, or a stop
+/// while a new connection is being made.
 fn followers(chance: &mut Chance, machine: &Machine, what: &What) -> Vec<(u32, Command)> {
     match what {
         What::Beside(_) if chance.one_in(CROWD_ONE_IN) => {
@@ -240,6 +241,17 @@ fn followers(chance: &mut Chance, machine: &Machine, what: &What) -> Vec<(u32, C
                 .collect();
             crowd.push((0, Command::Stop));
             crowd
+        }
+        What::TrajectoryWaits(ms) if chance.one_in(2) => {
+            let mut then = |_| chance.below(u64::from(*ms) + 1) as u32;
+            let stop = (then(0), Command::Stop);
+            let moments: Vec<u32> = (0..CROWD_MAX).map(&mut then).collect();
+            let orders = moments.into_iter().map(|later_ms| {
+                // Each of them is an order for the trajectory, in every mode.
+                let percent = 10 + chance.below(191) as u8;
+                (later_ms, Command::Override { percent })
+            });
+            orders.chain([stop]).collect()
         }
         What::Reconnect if chance.one_in(2) => vec![(chance.below(RECONNECTING_MS) as u32, Command::Stop)],
         _ => Vec::new(),

@@ -3,6 +3,7 @@
 use super::super::acyclic::{AcyclicPort, Request};
 use super::super::configure::discovery;
 use super::super::error::BusError;
+use super::super::slave_set::SlaveSet;
 use super::super::wire::register::{self, DlStatus};
 use super::super::wire::{Address, Command, read_u16, read_u32, read_u64};
 use super::delay::{PortTimes, propagation_delays_ns};
@@ -61,8 +62,8 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
     Ok(())
 }
 
-/// Makes all slaves latch the times of one frame, and reads them. At the last try, a slave without a clock that has not latched
-/// them counts as a part of its cable from then on: its features promise more than it does.
+/// Makes all slaves latch the times of one frame, and reads them. If only slaves without a clock have not latched them at the
+/// last try, they count as parts of their cables from then on: their features promise more than they do.
 async fn latch<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
@@ -73,7 +74,7 @@ async fn latch<const SLAVES: usize, const MESSAGE: usize>(
     // A reply comes within its cycle, so times that are further apart are those of different frames.
     let apart_max_ns = clocks.period_ns;
     let latched = port.broadcast_write(register::DC_RECEIVE_TIME, &[0; 4]).await?;
-    let (mut expected, mut is_whole) = (0, true);
+    let (mut expected, mut is_whole, mut idle) = (0, true, SlaveSet::NONE);
     // Nobody knows where in the chain an extra slave is.
     let ordered = clocks.slaves.iter_mut().take(clocks.ordered.into());
     for (position, (station, slave)) in stations.iter().zip(ordered).enumerate() {
@@ -92,13 +93,20 @@ async fn latch<const SLAVES: usize, const MESSAGE: usize>(
         }
         let is_short = apart_max_ns == 0 || slave.ports.span_ns() < apart_max_ns;
         match slave.ports.is_later_than(&before) && is_short {
-            false if slave.width.is_none() && is_last => slave.ports.has_clock = false,
-            has_latched => is_whole &= has_latched,
+            false if slave.width.is_none() && is_last => idle |= SlaveSet::of(position),
+            has_latched => {
+                is_whole &= has_latched;
+                expected += 1;
+            }
         }
-        expected += u16::from(slave.width.is_some());
     }
     match is_whole && latched >= expected {
-        true => Ok(()),
+        true => {
+            let slaves = clocks.slaves.iter_mut().enumerate();
+            let idle = slaves.filter(|(position, _)| idle.contains(*position));
+            idle.for_each(|(_, slave)| slave.ports.has_clock = false);
+            Ok(())
+        }
         false => Err(BusError::WorkingCounter {
             expected,
             actual: latched,

@@ -41,6 +41,8 @@ const START_AHEAD_NS: u64 = 100_000_000;
 const FOLLOW_PERIOD_MS: u32 = 1_000;
 /// Difference from the delay that a slave was told from which on it is told anew, ns: measurements differ by less.
 const DELAY_CHANGE_MIN_NS: u32 = 20;
+/// Delay of a slave that may be another one than was told.
+const NOT_TOLD: u32 = u32::MAX;
 /// Nanoseconds in a millisecond.
 const NS_PER_MS: u64 = 1_000_000;
 /// Width of a slave's clock.
@@ -118,11 +120,6 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
         self.first(|number, slave| slave.width.is_some() && slave.is_set && answers(number))
     }
 
-    /// Notes that another slave distributed its time until now: what it did to the present one's control loop has to go.
-    pub fn was_distributed_by_another(&mut self) {
-        self.told_by = None;
-    }
-
     /// Whether frames pass one slave before the other.
     pub fn is_before(&self, one: usize, other: usize) -> bool {
         let place = |number: usize| self.slaves.get(number).map(|slave| slave.place);
@@ -182,7 +179,7 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
     /// Notes that a slave was switched off: its clock no longer has the time of the bus.
     pub fn was_off(&mut self, position: usize) {
         if let Some(slave) = self.slaves.get_mut(position) {
-            slave.is_set = false;
+            (slave.is_set, slave.told_delay_ns) = (false, NOT_TOLD);
         }
     }
 
@@ -436,15 +433,19 @@ pub async fn tell_delays<const SLAVES: usize, const MESSAGE: usize>(
     answers: impl Fn(usize) -> bool,
 ) -> Result<(), BusError> {
     let is_there = |position: usize, slave: &SlaveClock| slave.width.is_some() && slave.is_set && answers(position);
-    run_freely(port, stations, clocks, clocks.distributor(&answers)).await?;
+    let before = clocks.distributor(&answers);
+    run_freely(port, stations, clocks, before).await?;
     // Delays of different measurements have different beginnings.
     let mut there = clocks.slaves.iter().enumerate();
     if clocks.are_due || there.any(|(position, slave)| is_there(position, slave) && !slave.measured) {
         measure(port, stations, clocks, &answers).await?;
     }
-    // The slaves may stand in another order than before.
     let source = clocks.distributor(&answers);
-    run_freely(port, stations, clocks, source).await?;
+    if source != before {
+        // The slaves stand in another order. The time of the one before is written to the new one until the plan changes: it
+        // begins to run freely behind that.
+        clocks.told_by = None;
+    }
     for (position, station) in stations.iter().enumerate() {
         let delay_ns = clocks.delay_from_ns(source, position);
         let Some(slave) = clocks.slaves.get_mut(position) else {

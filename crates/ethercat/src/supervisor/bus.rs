@@ -378,7 +378,6 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             // The chain has another first slave, to which the time of the one before was written.
             self.send_plan().await;
             self.port.wait_ms(PLAN_MS).await;
-            self.clocks.was_distributed_by_another();
             let _ = clock::tell_delays(&mut self.port, &stations, &mut self.clocks, answers).await;
         }
     }

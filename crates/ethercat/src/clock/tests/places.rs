@@ -181,3 +181,39 @@ fn who_begins_to_distribute_its_time_runs_freely_even_if_the_cables_cannot_be_me
         assert_eq!(chain.log.matches("Fpwr:0930").count(), 1, "{}", chain.log);
     }
 }
+
+#[test]
+fn a_good_terminal_is_not_given_up_because_a_cable_was_loose_for_long() {
+    for (passed, times) in (0..4).flat_map(|passed| (3..8).map(move |times| (passed, times))) {
+        let mut chain = Chain::new([(WIDE, 5, 0), (None, 0, 0), (WIDE, 42, 0), (WIDE, 123_456, 0)]);
+        chain.slaves[1].latches = true;
+        chain.slaves[1].put(register::FEATURES, &register::FEATURE_CLOCKS.to_le_bytes());
+        let mut clocks = chain.set_up();
+        chain.cut = (times, passed);
+        for _ in 0..4 {
+            clocks.chain_changed();
+            // It fails as long as the cable is loose.
+            let _ = chain.run(async |mut port: AcyclicPort<'static, 64>| {
+                tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await
+            });
+        }
+        assert!(clocks.slaves[1].ports.has_clock, "{passed} slaves, {times} times");
+        let delays: StdVec<u32> = clocks.slaves.iter().map(|slave| slave.delay_ns).collect();
+        assert_eq!(delays, [0, 500, 1_000, 1_500], "{passed} slaves, {times} times");
+    }
+}
+
+#[test]
+fn a_slave_that_may_be_another_one_is_told_its_delay_again() {
+    let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 123_456, 0)]);
+    let mut clocks = chain.set_up();
+    clocks.was_off(2);
+    chain.slaves[2].put(register::DC_DELAY, &[0; 4]);
+    let told = chain
+        .run(async |mut port: AcyclicPort<'static, 64>| tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await);
+    told.expect("the delays");
+    assert_eq!(
+        read_u32(&chain.slaves[2].memory, usize::from(register::DC_DELAY)),
+        1_000
+    );
+}
