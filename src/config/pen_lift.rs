@@ -152,6 +152,19 @@ mod tests {
     }
 
     #[test]
+    fn a_pen_lowers_over_a_tenth_of_its_lift_at_least_however_far_corners_are_rounded() {
+        let paper = Paper::default();
+        for (travel_tolerance_mm, lift_mm) in [(0.5, 2.5), (2.7, 0.3), (3.0, 0.3), (30.0, 0.3)] {
+            let motion = MotionLimits {
+                travel_tolerance_mm,
+                ..MotionLimits::default()
+            };
+            let found_mm = PenLift::default().lift_mm(&motion, &paper);
+            assert!((found_mm - lift_mm).abs() < 1e-9, "{travel_tolerance_mm} mm: {found_mm}");
+        }
+    }
+
+    #[test]
     fn a_servo_has_two_positions_that_its_word_holds_and_takes_its_time_as_a_solenoid() {
         let servo = PenLift {
             kind: PenLiftKind::Servo,
