@@ -160,7 +160,10 @@ mod tests {
                 ..MotionLimits::default()
             };
             let found_mm = PenLift::default().lift_mm(&motion, &paper);
-            assert!((found_mm - lift_mm).abs() < 1e-9, "{travel_tolerance_mm} mm: {found_mm}");
+            assert!(
+                (found_mm - lift_mm).abs() < 1e-9,
+                "{travel_tolerance_mm} mm: {found_mm}"
+            );
         }
     }
 

@@ -128,13 +128,13 @@ type Chain<const SLAVES: usize> = Vec<Place, SLAVES>;
 
 /// The slaves that were measured, in the order in which they were last seen.
 fn expected_chain<const SLAVES: usize>(clocks: &BusClocks<SLAVES>) -> Chain<SLAVES> {
-    let mut numbers: Vec<(u8, u8), SLAVES> = (0..)
-        .zip(&clocks.slaves)
-        .filter(|(_, slave)| slave.measured)
-        .map(|(number, slave)| (slave.place, number))
-        .collect();
-    numbers.sort_unstable();
-    numbers.into_iter().map(|(_, number)| Place::Measured(number)).collect()
+    let at = |place: u8| {
+        (0..)
+            .zip(&clocks.slaves)
+            .find(|(_, slave)| slave.measured && slave.place == place)
+    };
+    let measured = (0..SLAVES as u8).filter_map(at);
+    measured.map(|(number, _)| Place::Measured(number)).collect()
 }
 
 /// Notes in which order the slaves of a chain stand. Those that are not there keep their places.
@@ -146,11 +146,11 @@ fn put_in_order<const SLAVES: usize>(clocks: &mut BusClocks<SLAVES>, chain: &Cha
             Place::Stranger(_) => None,
         })
     };
-    let mut places: Vec<u8, SLAVES> = numbers()
-        .filter_map(|number| clocks.slaves.get(number))
-        .map(|slave| slave.place)
+    let has = |number: usize, place: u8| clocks.slaves.get(number).is_some_and(|slave| slave.place == place);
+    // In order, without a sorting function: those call themselves, and the stack has to be bounded.
+    let places: Vec<u8, SLAVES> = (0..SLAVES as u8)
+        .filter(|place| numbers().any(|number| has(number, *place)))
         .collect();
-    places.sort_unstable();
     for (number, place) in numbers().zip(places) {
         if let Some(slave) = clocks.slaves.get_mut(number) {
             slave.place = place;
