@@ -15,7 +15,7 @@ const PORT_TIMES_LEN: usize = 16;
 /// Bytes from the first port's receive time to the end of the processing unit's.
 const TIMES_LEN: usize = (register::DC_RECEIVE_TIME_UNIT - register::DC_RECEIVE_TIME) as usize + 8;
 
-/// How often a measurement is repeated in which not all slaves have latched the same frame: cables were being plugged.
+/// How often a measurement is tried in which not all slaves have latched the same frame: cables are being plugged.
 const TRIES_MAX: u8 = 3;
 
 /// Makes all slaves latch the times of one frame, and computes the delays. Slaves that do not answer keep theirs; `answers`

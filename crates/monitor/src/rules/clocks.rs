@@ -13,8 +13,8 @@ use crate::violation::Rule;
 const APART_NS: u32 = 1_000;
 /// Most that a clock may gain or lose on the true time from one moment to the next, ns.
 const JUMP_NS: u32 = 1_000;
-/// The same while something is disturbed, or was a moment ago: the most that the control loop of a clock corrects, and a tenth
-/// more.
+/// Most that a clock may gain or lose in a millisecond while something is disturbed, or was a moment ago, ns: what its control
+/// loop corrects at most, and a tenth more.
 const CATCH_UP_NS: u32 = 110_000;
 /// Time for which nothing must have been disturbed before clocks have to agree, ms.
 const QUIET_MS: u32 = 1_000;
