@@ -7,7 +7,7 @@ use super::error::EmulatorError;
 use super::lockstep::Incoming;
 use super::log::{self, Decoder, LogLine};
 use super::process::{Directory, Process};
-use super::{FIRMWARE_SOCKET, Segment, bind, cable, machine};
+use super::{FIRMWARE_SOCKET, Segment, bind, cable, machine, send};
 use defmt_decoder::Table;
 use std::ffi::OsString;
 use std::io::{self, ErrorKind};
@@ -232,20 +232,12 @@ impl<S: Segment> Wire<S> {
             Ok(length) => {
                 let frame = frame.get(..length).unwrap_or_default();
                 for reply in self.segment.frame(time_us, frame) {
-                    self.send(&reply)?;
+                    // Nobody waits for a reply that is not taken.
+                    let _taken = send(&self.socket, &self.firmware, &reply)?;
                 }
                 Ok(())
             }
             Err(error) if is_timeout(&error) => Ok(()),
-            Err(error) => Err(error),
-        }
-    }
-
-    /// Sends a reply; an emulator that has just ended does not take it, which `run` detects next.
-    fn send(&self, reply: &[u8]) -> io::Result<()> {
-        match self.socket.send_to(reply, &self.firmware) {
-            Ok(_) => Ok(()),
-            Err(error) if error.kind() == ErrorKind::ConnectionRefused => Ok(()),
             Err(error) => Err(error),
         }
     }

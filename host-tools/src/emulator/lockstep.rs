@@ -212,11 +212,7 @@ impl<S: Segment, L: Link> Lockstep<S, L> {
         if !REPLY_BYTES.contains(&reply.len()) {
             return Ok(false);
         }
-        match self.socket.send_to(reply, &self.firmware) {
-            Ok(_) => Ok(true),
-            Err(error) if error.kind() == ErrorKind::WouldBlock => Ok(false),
-            Err(error) => Err(error),
-        }
+        super::send(&self.socket, &self.firmware, reply)
     }
 
     fn answer_link(&mut self) -> Result<bool, EmulatorError> {

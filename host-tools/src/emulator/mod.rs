@@ -22,6 +22,7 @@ pub use log::LogLine;
 use lockstep::{Lockstep, Options as LockstepOptions};
 use process::{Directory, Process};
 use std::ffi::OsString;
+use std::io::{self, ErrorKind};
 use std::os::unix::net::UnixDatagram;
 use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -249,6 +250,16 @@ fn bind(directory: &Directory) -> Result<UnixDatagram, EmulatorError> {
     Ok(socket)
 }
 
+/// Sends a reply to the emulator's end of the cable; returns false if nobody takes it now. An emulator that has just ended
+/// takes none: that is no error of the cable, and its owner tells how it ended.
+fn send(socket: &UnixDatagram, firmware: &Path, reply: &[u8]) -> io::Result<bool> {
+    match socket.send_to(reply, firmware) {
+        Ok(_) => Ok(true),
+        Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::ConnectionRefused) => Ok(false),
+        Err(error) => Err(error),
+    }
+}
+
 /// Arguments of the emulator in lockstep; all file names are relative to its working directory.
 fn arguments(image: &Path, options: &Options) -> Result<Vec<OsString>, EmulatorError> {
     let shift = options.instruction_shift;
@@ -284,4 +295,22 @@ fn machine(image: &Path, cable: &str) -> Result<Vec<OsString>, EmulatorError> {
     let mut arguments = fixed.map(OsString::from).to_vec();
     arguments.push(image.into_os_string());
     Ok(arguments)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_reply_to_an_emulator_that_has_just_ended_is_not_taken_and_no_error_of_the_cable() {
+        let directory = Directory::make().expect("a directory for temporary files");
+        let socket = bind(&directory).expect("a socket");
+        let path = directory.join(FIRMWARE_SOCKET);
+        let firmware = UnixDatagram::bind(&path).expect("a socket");
+        assert!(send(&socket, &path, &[1; 60]).expect("the cable is whole"));
+        drop(firmware);
+        assert!(!send(&socket, &path, &[1; 60]).expect("the end of the emulator is told by its process"));
+        std::fs::remove_file(&path).expect("the socket's file is there");
+        send(&socket, &path, &[1; 60]).expect_err("a cable that leads nowhere");
+    }
 }
