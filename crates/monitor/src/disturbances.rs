@@ -4,7 +4,7 @@
 
 use crate::bounds::SETTLE_MS;
 use crate::cell::{AXES_MAX, Cell};
-use crate::moment::{Command, Input, Report};
+use crate::moment::{Command, Input, Mode, Report};
 use crate::motion::Motion;
 use crate::robot::MAIN_AXES;
 
@@ -37,6 +37,7 @@ pub(crate) struct Disturbances {
     deaf: [bool; AXES_MAX],
     machine: bool,
     open_since_ms: Option<u64>,
+    is_clock_failed: bool,
     /// Whether the reference is not the true one: it was taken on a wrong motor turn.
     misreferenced: bool,
     /// The value before the last command to home, while that is not answered.
@@ -69,10 +70,8 @@ impl Disturbances {
         if self.machine {
             self.machine_ms = Some(now_ms);
         }
-        if self
-            .open_since_ms
-            .is_some_and(|since_ms| now_ms.saturating_sub(since_ms) >= OPEN_MS)
-        {
+        let is_long = |since_ms: u64| now_ms.saturating_sub(since_ms) >= OPEN_MS;
+        if self.is_clock_failed || self.open_since_ms.is_some_and(is_long) {
             self.opened_ms = Some(now_ms);
         }
         for (since, deaf) in self.deaf_ms.iter_mut().zip(self.deaf) {
@@ -113,6 +112,12 @@ impl Disturbances {
             }
             Input::StopInput(true) => _ = self.open_since_ms.get_or_insert(motion.now_ms),
             Input::StopInput(false) => self.open_since_ms = None,
+            Input::ClockFailed(is_failed) => {
+                self.is_clock_failed = is_failed;
+                if is_failed {
+                    self.opened_ms = Some(motion.now_ms);
+                }
+            }
             Input::Commanded(Command::Home) => self.home(is_off(cell, motion, |axis| cell.joints[axis].mark_rad)),
             Input::Commanded(Command::HomeAt { pose_rad }) => {
                 self.home(is_off(cell, motion, |axis| {
@@ -137,6 +142,8 @@ impl Disturbances {
     pub(crate) fn hear(&mut self, report: &Report) {
         match report {
             Report::Refused(Command::Search) if matches!(self.search, Search::Ordered(_)) => self.search = Search::None,
+            // An order that is repeated meanwhile is refused and changes nothing.
+            Report::Accepted(Command::Search) | Report::Mode(Mode::Homing) => self.search = Search::UnderWay,
             Report::Homed(false) if self.search != Search::None => self.search = Search::UnderWay,
             Report::Homed(true) if self.search == Search::UnderWay => {
                 self.search = Search::None;
@@ -197,7 +204,8 @@ impl Disturbances {
         self.is_misled() || self.has_deaf_drive
     }
 
-    /// Whether the emergency-stop input was open so long that the controller may be stopping without having told it.
+    /// Whether the emergency-stop input was open so long, or the board's clock source failed, that the controller may be
+    /// stopping without having told it.
     pub(crate) fn may_be_stopped(&self) -> bool {
         self.may_be_stopped
     }
@@ -272,6 +280,37 @@ mod tests {
         }
         disturbances.step(0);
         assert!(disturbances.machine_disturbed() && disturbances.may_race());
+    }
+
+    #[test]
+    fn a_search_goes_on_whatever_is_refused_beside_it() {
+        let (cell, motion) = (Cell::default(), Motion::default());
+        let order = Input::Commanded(Command::Search);
+        let (accepted, refused) = (Report::Accepted(Command::Search), Report::Refused(Command::Search));
+        let mut accepted_first = Disturbances::default();
+        accepted_first.take(&cell, &motion, &order);
+        accepted_first.hear(&accepted);
+        accepted_first.take(&cell, &motion, &order);
+        accepted_first.hear(&refused);
+        assert!(accepted_first.searches());
+        let mut answer_lost = Disturbances::default();
+        answer_lost.take(&cell, &motion, &order);
+        answer_lost.take(&cell, &motion, &order);
+        answer_lost.hear(&refused);
+        answer_lost.hear(&Report::Mode(Mode::Homing));
+        answer_lost.hear(&Report::Homed(false));
+        assert!(answer_lost.searches());
+        for mut disturbances in [accepted_first, answer_lost] {
+            disturbances.step(2 * SEARCH_MAX_MS);
+            assert!(disturbances.searches(), "it takes its time");
+            disturbances.hear(&Report::Homed(true));
+            assert!(!disturbances.searches());
+        }
+        let mut refused_alone = Disturbances::default();
+        refused_alone.take(&cell, &motion, &order);
+        refused_alone.hear(&refused);
+        refused_alone.hear(&Report::Homed(false));
+        assert!(!refused_alone.searches());
     }
 
     #[test]

@@ -31,6 +31,7 @@ fn input() -> impl Strategy<Value = Input> {
         8 => command().prop_map(Input::Commanded),
         1 => Just(Input::Configured),
         1 => any::<bool>().prop_map(Input::StopInput),
+        1 => any::<bool>().prop_map(Input::ClockFailed),
         1 => (0_usize..9, any::<bool>()).prop_map(|(axis, disturbed)| Input::Feedback { axis, disturbed }),
         1 => any::<bool>().prop_map(|disturbed| Input::Machine { disturbed }),
         1 => (0_usize..9, any::<bool>()).prop_map(|(axis, deaf)| Input::Drive { axis, deaf }),

@@ -79,6 +79,8 @@ pub enum Input {
     Commanded(Command),
     /// The emergency-stop input shows open or closed from now on.
     StopInput(bool),
+    /// The board's clock source has failed, or works again: a stop at once.
+    ClockFailed(bool),
     /// The position feedback of an axis, from 0, is not true from now on, or true again. A reference that was taken
     /// from it or that it has shifted is not true either, until the axis is homed at its true angle.
     Feedback {

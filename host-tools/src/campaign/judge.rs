@@ -63,6 +63,15 @@ enum Open {
     Recabled(usize, usize),
 }
 
+/// What on the board demands a stop in a millisecond.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Interlocks {
+    /// The emergency-stop input shows open.
+    pub(super) stop_open: bool,
+    /// The board runs on its substitute clock.
+    pub(super) clock_failed: bool,
+}
+
 /// The monitor, and what it has to be told in this millisecond.
 pub(super) struct Judge {
     monitor: Monitor,
@@ -70,7 +79,7 @@ pub(super) struct Judge {
     reports: Vec<Report>,
     decoder: Box<Decoder>,
     last_command: Option<u16>,
-    stop_open: bool,
+    interlocks: Interlocks,
     /// Ends of faults that end by themselves: when, ms, and what is true then.
     ends: Vec<(u64, Input)>,
     /// Disturbances of the machine, and of each axis's feedback, that have not ended.
@@ -101,7 +110,7 @@ impl Judge {
             reports: Vec::new(),
             decoder: Box::default(),
             last_command: None,
-            stop_open: false,
+            interlocks: Interlocks::default(),
             ends: Vec::new(),
             disturbances: 0,
             open: Vec::new(),
@@ -420,14 +429,16 @@ impl Judge {
         truth: &Truth,
         frames: &[Frame],
         clocks: &Clocks,
-        stop_open: bool,
+        interlocks: Interlocks,
     ) -> Result<(), (Rule, String)> {
         let now_ms = u64::from(ms);
         self.end_disturbances(now_ms);
         let inputs = &mut self.inputs;
-        if std::mem::replace(&mut self.stop_open, stop_open) != stop_open {
-            inputs.push(Input::StopInput(stop_open));
-        }
+        let before = std::mem::replace(&mut self.interlocks, interlocks);
+        inputs.extend((before.stop_open != interlocks.stop_open).then_some(Input::StopInput(interlocks.stop_open)));
+        inputs.extend(
+            (before.clock_failed != interlocks.clock_failed).then_some(Input::ClockFailed(interlocks.clock_failed)),
+        );
         let joints: [Joint; AXES] = std::array::from_fn(|axis| Joint {
             angle_rad: truth.angles_rad[axis],
             speed_rad_s: truth.speeds_rad_s[axis],

@@ -71,6 +71,7 @@ pub(crate) struct Orders {
     acknowledged: bool,
     fault_reported: bool,
     stop_open_since_ms: Option<u64>,
+    is_clock_failed: bool,
     cut_since_ms: Option<u64>,
     speed_override: Override,
     pub(crate) mode: Option<Mode>,
@@ -84,12 +85,9 @@ impl Orders {
     /// Advances to a millisecond; returns whether a drawing counts as accepted whose answer was lost.
     pub(crate) fn step(&mut self, cell: &Cell, bounds: &Bounds, motion: &Motion, disturbances: &Disturbances) -> bool {
         let now_ms = motion.now_ms;
-        if self
-            .stop_open_since_ms
-            .is_some_and(|since_ms| now_ms.saturating_sub(since_ms) >= STOP_OPEN_MS)
-        {
+        if let Some(cause) = self.interlock(now_ms) {
             self.acknowledged = false;
-            self.begin_stop(StopCause::Input, motion, bounds, disturbances);
+            self.begin_stop(cause, motion, bounds, disturbances);
         }
         if let Some(cut_ms) = self.cut_since_ms {
             let silent_ms = cut_ms.saturating_add(u64::from(cell.host_silence_ms));
@@ -150,6 +148,7 @@ impl Orders {
             Input::Commanded(command) => self.command(cell, bounds, motion.now_ms, command),
             Input::StopInput(true) => _ = self.stop_open_since_ms.get_or_insert(motion.now_ms),
             Input::StopInput(false) => self.stop_open_since_ms = None,
+            Input::ClockFailed(is_failed) => self.is_clock_failed = is_failed,
             Input::Link { cut: true } => _ = self.cut_since_ms.get_or_insert(motion.now_ms),
             Input::Link { cut: false } => self.cut_since_ms = None,
             Input::Restarted => self.restart(motion, bounds, disturbances),
@@ -158,18 +157,28 @@ impl Orders {
     }
 
     fn restart(&mut self, motion: &Motion, bounds: &Bounds, disturbances: &Disturbances) {
-        let (open, cut) = (self.stop_open_since_ms, self.cut_since_ms);
+        let (open, cut, is_clock_failed) = (self.stop_open_since_ms, self.cut_since_ms, self.is_clock_failed);
         self.begin_stop(StopCause::Restart, motion, bounds, disturbances);
         *self = Self {
             stop: self.stop,
             power_ended_ms: self.power_ended_ms,
             stop_open_since_ms: open,
+            is_clock_failed,
             cut_since_ms: cut,
             speed_override: self.speed_override.clone(),
             ..Self::default()
         };
         self.speed_override
             .restart(motion.now_ms, motion.now_ms.saturating_add(bounds.slowing_ms));
+    }
+
+    /// What on the board demands a stop for as long as it lasts.
+    fn interlock(&self, now_ms: u64) -> Option<StopCause> {
+        let is_long = |since_ms: u64| now_ms.saturating_sub(since_ms) >= STOP_OPEN_MS;
+        match self.stop_open_since_ms {
+            Some(since_ms) if is_long(since_ms) => Some(StopCause::Input),
+            _ => self.is_clock_failed.then_some(StopCause::Clock),
+        }
     }
 
     fn command(&mut self, cell: &Cell, bounds: &Bounds, now_ms: u64, command: Command) {
@@ -378,7 +387,7 @@ impl Orders {
         ] {
             pending.forget();
         }
-        if cause != StopCause::Input || self.stop.is_none() {
+        if !matches!(cause, StopCause::Input | StopCause::Clock) || self.stop.is_none() {
             self.acknowledged = false;
         }
         self.needs_acknowledgement = true;

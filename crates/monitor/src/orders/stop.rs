@@ -25,6 +25,7 @@ const KEEP_PATH: [&str; 3] = ["EmergencyStop(Link", "CyclesLate", "MotionStalled
 pub(crate) enum StopCause {
     Command,
     Input,
+    Clock,
     /// A fault that is the quick stop at once.
     Fault,
     /// A fault for which the robot brakes on its path.
@@ -37,6 +38,7 @@ impl StopCause {
         match self {
             Self::Command => "the stop command",
             Self::Input => "the emergency-stop input opened",
+            Self::Clock => "the board's clock source failed",
             Self::Fault | Self::FaultOnPath => "a fault was reported",
             Self::Restart => "the controller restarted",
         }

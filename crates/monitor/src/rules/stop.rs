@@ -72,6 +72,7 @@ mod tests {
     fn joints_that_brake_in_time_and_hard_enough_have_stopped() {
         assert_eq!(stopped(|rig| rig.command(Command::Stop), 8, 100.0), Ok(()));
         assert_eq!(stopped(|rig| rig.input(Input::StopInput(true)), 9, 100.0), Ok(()));
+        assert_eq!(stopped(|rig| rig.input(Input::ClockFailed(true)), 5, 100.0), Ok(()));
         assert_eq!(
             stopped(|rig| rig.report(Report::Fault(Some("x".into()))), 2, 100.0),
             Ok(())
@@ -90,6 +91,17 @@ mod tests {
             &stopped(|rig| rig.input(Input::StopInput(true)), 200, 100.0),
             Rule::Stop
         ));
+    }
+
+    #[test]
+    fn a_clock_that_fails_for_a_millisecond_stops_everything() {
+        let failed = |rig: &mut Rig| {
+            rig.input(Input::ClockFailed(true));
+            rig.run(1).expect("it brakes next");
+            rig.input(Input::ClockFailed(false));
+        };
+        assert_eq!(stopped(failed, 4, 100.0), Ok(()));
+        assert!(broken(&stopped(failed, 200, 100.0), Rule::Stop));
     }
 
     #[test]

@@ -11,7 +11,7 @@ use super::chance::Chance;
 use super::counted;
 use super::episode::{Episode, Figure};
 use super::ink;
-use super::judge::{Judge, ink_limit_mm};
+use super::judge::{Interlocks, Judge, ink_limit_mm};
 use super::line::Line;
 use super::machine::Chain;
 use super::world::World;
@@ -62,6 +62,15 @@ struct Board {
     substitute_until_ms: u32,
     trajectory_until_ms: u32,
     port_until_ms: u32,
+}
+
+impl Board {
+    fn interlocks(&self, now_ms: u32) -> Interlocks {
+        Interlocks {
+            stop_open: now_ms < self.stop_until_ms,
+            clock_failed: now_ms < self.substitute_until_ms,
+        }
+    }
 }
 
 /// The operator.
@@ -384,12 +393,12 @@ impl Host for Operator<'_> {
                 self.happen(event);
             }
         }
-        let stop_open = ms < self.board.stop_until_ms;
+        let interlocks = self.board.interlocks(ms);
         let verdict = {
             let (world, judge, has_clocks) = (&self.world, &mut self.judge, self.config.bus.clocks);
             world.look(|cell, frames| {
                 let clocks = if has_clocks { cell.clocks() } else { Clocks::default() };
-                judge.moment(ms, &cell.truth(), frames, &clocks, stop_open)
+                judge.moment(ms, &cell.truth(), frames, &clocks, interlocks)
             })
         };
         if let Err((rule, text)) = verdict {
@@ -400,9 +409,13 @@ impl Host for Operator<'_> {
 
     fn surroundings(&mut self) -> Surroundings {
         let now_ms = self.now_ms;
+        let Interlocks {
+            stop_open,
+            clock_failed,
+        } = self.board.interlocks(now_ms);
         let mut around = Surroundings {
-            stop_shows_open: now_ms < self.board.stop_until_ms,
-            substitute_clock: now_ms < self.board.substitute_until_ms,
+            stop_shows_open: stop_open,
+            substitute_clock: clock_failed,
             trajectory_waits: now_ms < self.board.trajectory_until_ms,
             ..Surroundings::default()
         };
