@@ -89,6 +89,8 @@ pub(super) struct Judge {
     untrue: [u32; AXES],
     /// Axes whose encoder was mounted again: their positions are true once the robot is homed.
     mounted: [bool; AXES],
+    /// Those among them that were mounted since the last search was ordered, which may have passed them before.
+    mounted_since: [bool; AXES],
     axes: usize,
     chain: Chain,
     has_switches: bool,
@@ -116,6 +118,7 @@ impl Judge {
             open: Vec::new(),
             untrue: [0; AXES],
             mounted: [false; AXES],
+            mounted_since: [false; AXES],
             axes: config.bus.drives.into(),
             chain: Chain::new(config),
             has_switches: config.has_home_switches(),
@@ -142,8 +145,7 @@ impl Judge {
                 // A repeated request is carried out once.
                 Ok(HostMessage::Command { id, command }) if self.last_command != Some(id) => {
                     self.last_command = Some(id);
-                    self.inputs.extend(self.command_of(&command).map(Input::Commanded));
-                    self.begin(&command);
+                    self.reached(&command);
                 }
                 Ok(HostMessage::Configure { .. }) if !self.configured => {
                     self.configured = true;
@@ -165,8 +167,12 @@ impl Judge {
         (self.ordered, self.finished) = (Some((job, inputs.collect())), None);
     }
 
-    /// The path of a drawing follows its order.
-    fn begin(&mut self, command: &Command) {
+    /// A command has reached the board. The path of a drawing follows its order.
+    fn reached(&mut self, command: &Command) {
+        self.inputs.extend(self.command_of(command).map(Input::Commanded));
+        if matches!(command, Command::Home) && !self.searches {
+            self.mounted_since = [false; AXES];
+        }
         if let Command::Draw { job } = *command
             && let Some((_, path)) = self.ordered.take_if(|(ordered, _)| *ordered == job)
         {
@@ -177,6 +183,7 @@ impl Judge {
     pub(super) fn answered(&mut self, command: &Command, accepted: bool) {
         let is_home = matches!(command, Command::Home) && !self.has_switches;
         if accepted && (is_home || matches!(command, Command::HomeAt { .. })) {
+            self.mounted_since = [false; AXES];
             self.homed();
         }
         self.reports
@@ -206,10 +213,7 @@ impl Judge {
     /// A status has arrived.
     pub(super) fn reported(&mut self, status: &Status) {
         self.reports.push(Report::Mode(mode_of(status.mode)));
-        self.searches |= status.mode == Mode::Homing;
-        if status.mode != Mode::Homing && std::mem::take(&mut self.searches) && status.referenced {
-            self.homed();
-        }
+        self.in_mode(status.mode, status.referenced);
         self.reports
             .push(Report::Fault(status.fault.map(|fault| format!("{fault:?}"))));
         self.reports.push(Report::Homed(status.referenced));
@@ -227,6 +231,15 @@ impl Judge {
             count: count.into(),
         });
         self.reports.push(Report::Counters(counts.to_vec()));
+    }
+
+    /// The end of a search is seen from the mode.
+    fn in_mode(&mut self, mode: Mode, is_referenced: bool) {
+        let searched = self.searches;
+        self.searches = mode == Mode::Homing;
+        if searched && !self.searches && is_referenced {
+            self.homed();
+        }
     }
 
     /// A fault of the segment begins; a fault of frames hits `count` of them.
@@ -327,17 +340,18 @@ impl Judge {
             .retain(|(_, end)| !matches!(end, Input::Feedback { axis: other, .. } if *other == axis));
         let passing = before - self.ends.len();
         if disturbances as usize > passing {
-            self.mounted[axis] = true;
+            (self.mounted[axis], self.mounted_since[axis]) = (true, true);
         } else if !self.mounted[axis] {
             self.inputs.push(Input::Feedback { axis, disturbed: false });
         }
     }
 
-    /// The robot is homed: encoders that were mounted again show true positions.
+    /// The robot is homed: encoders that were mounted again before show true positions.
     fn homed(&mut self) {
+        let later = std::mem::take(&mut self.mounted_since);
         for (axis, mounted) in self.mounted.iter_mut().enumerate() {
             // A younger disturbance lasts on.
-            if std::mem::take(mounted) && self.untrue[axis] == 0 {
+            if std::mem::replace(mounted, later[axis]) && !*mounted && self.untrue[axis] == 0 {
                 self.inputs.push(Input::Feedback { axis, disturbed: false });
             }
         }
@@ -733,6 +747,28 @@ mod tests {
         judge.injected(fault("stuck 2 0"), 1, 3_000);
         judge.answered(&Command::Home, true);
         assert_eq!(told_true(&judge), 1);
+
+        // A search shows nothing about an encoder that is mounted while it goes on.
+        let mut judge = Judge::new(&config);
+        judge.has_switches = true;
+        for fitted_in_search in [true, false] {
+            judge.injected(fault("slip 2 10 50"), 1, 4_000);
+            if !fitted_in_search {
+                judge.injected(fault("stuck 2 0"), 1, 4_500);
+            }
+            judge.reached(&Command::Home);
+            judge.answered(&Command::Home, true);
+            judge.in_mode(Mode::Homing, false);
+            // Another order is refused meanwhile.
+            judge.reached(&Command::Home);
+            judge.answered(&Command::Home, false);
+            if fitted_in_search {
+                judge.injected(fault("stuck 2 0"), 1, 5_000);
+            }
+            judge.in_mode(Mode::Idle, true);
+            assert_eq!(judge.asks_for_homing(), fitted_in_search);
+            assert_eq!(told_true(&judge), usize::from(!fitted_in_search));
+        }
 
         let mut judge = Judge::new(&config);
         judge.injected(fault("remove 3"), 1, 1_000);
