@@ -26,6 +26,8 @@ enum Search {
     None,
     /// It was ordered at this time, ms; the joints may still count as known.
     Ordered(u64),
+    /// It began at this time, ms; the joints may still count as known.
+    Accepted(u64),
     /// The joints do not count as known.
     UnderWay,
 }
@@ -64,7 +66,9 @@ impl Disturbances {
             self.feedback_ms = Some(now_ms);
             self.is_search_false |= self.search != Search::None;
         }
-        if matches!(self.search, Search::Ordered(since_ms) if now_ms.saturating_sub(since_ms) > SEARCH_MAX_MS) {
+        if let Search::Ordered(since_ms) | Search::Accepted(since_ms) = self.search
+            && now_ms.saturating_sub(since_ms) > SEARCH_MAX_MS
+        {
             self.search = Search::None;
         }
         if self.machine {
@@ -142,8 +146,10 @@ impl Disturbances {
     pub(crate) fn hear(&mut self, report: &Report) {
         match report {
             Report::Refused(Command::Search) if matches!(self.search, Search::Ordered(_)) => self.search = Search::None,
-            // An order that is repeated meanwhile is refused and changes nothing.
-            Report::Accepted(Command::Search) | Report::Mode(Mode::Homing) => self.search = Search::UnderWay,
+            // An order that is repeated from here on is refused and changes nothing.
+            Report::Accepted(Command::Search) | Report::Mode(Mode::Homing) if self.search != Search::UnderWay => {
+                self.search = Search::Accepted(self.now_ms);
+            }
             Report::Homed(false) if self.search != Search::None => self.search = Search::UnderWay,
             Report::Homed(true) if self.search == Search::UnderWay => {
                 self.search = Search::None;
@@ -300,7 +306,14 @@ mod tests {
         answer_lost.hear(&Report::Mode(Mode::Homing));
         answer_lost.hear(&Report::Homed(false));
         assert!(answer_lost.searches());
-        for mut disturbances in [accepted_first, answer_lost] {
+        let mut still_known = Disturbances::default();
+        still_known.take(&cell, &motion, &order);
+        for report in [&accepted, &Report::Mode(Mode::Homing), &Report::Homed(true), &Report::Homed(false)] {
+            still_known.hear(report);
+            assert!(still_known.searches(), "{report:?}");
+        }
+        for mut disturbances in [accepted_first, answer_lost, still_known] {
+            disturbances.hear(&Report::Homed(false));
             disturbances.step(2 * SEARCH_MAX_MS);
             assert!(disturbances.searches(), "it takes its time");
             disturbances.hear(&Report::Homed(true));

@@ -278,7 +278,10 @@ impl Orders {
             Command::Disable => {
                 if self.disabling.answer() {
                     self.is_enabled = false;
-                    self.begin(Order::None);
+                    let is_search = self.order == Order::Search;
+                    self.begin(if is_search { Order::Search } else { Order::None });
+                    // Axes that search brake from the speed of the search.
+                    self.held = is_search.then_some((now_ms, false));
                     self.end_power(now_ms);
                 }
             }

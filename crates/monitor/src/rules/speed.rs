@@ -122,7 +122,7 @@ mod tests {
 
     #[test]
     fn a_search_may_be_as_fast_as_its_switches_are_approached_however_slow_the_tool_is() {
-        let searching = |speed_rad_s: f64| {
+        let searching = |speed_rad_s: f64, ended: Option<Command>| {
             let mut cell = cell();
             (cell.tool_speed_mm_s, cell.travel_speed_mm_s) = (1.0, 1.0);
             cell.joints.iter_mut().for_each(|joint| joint.search_rad_s = 0.5);
@@ -135,11 +135,19 @@ mod tests {
             rig.report(Report::Homed(false));
             rig.report(Report::Mode(Mode::Moving));
             rig.accelerate_to(speed_rad_s);
-            rig.run(400)
+            rig.run(400)?;
+            if let Some(command) = ended {
+                rig.command(command);
+                rig.run(8)?;
+                rig.brake(100.0);
+            }
+            rig.run(40)
         };
-        assert_eq!(searching(0.6), Ok(()));
-        let found = searching(0.7);
-        assert!(broken(&found, Rule::Speed), "{found:?}");
+        for ended in [None, Some(Command::Cancel), Some(Command::Disable)] {
+            assert_eq!(searching(0.6, ended), Ok(()), "{ended:?}");
+            let found = searching(0.7, ended);
+            assert!(broken(&found, Rule::Speed), "{found:?}");
+        }
     }
 
     #[test]
