@@ -1,47 +1,31 @@
-//! Benchmarks of drawings: the vectoriser on photographs, and the order of strokes compared with vpype's.
+//! The order of strokes compared with vpype's.
 //!
 //! Both programs order the same files in one run, without reading and writing; the fastest of three runs counts. The
 //! best known tour is this program's own with forty times the effort, or vpype's if that is shorter. Seconds depend on
 //! the computer; the target is a share of vpype's time on it. Drawing times come from the firmware's planner at its
 //! default limits; vpype converts curves into its own lines.
 
-use super::{BenchError, BenchReport, BenchRow, Selection};
+use super::{RUNS, failed, sample, wants};
+use crate::bench::{BenchError, BenchRow, Selection};
 use crate::drawing::preparation::choose_order::travelling;
-use crate::drawing::{
-    Drawing, Input, OrderOptions, Stroke, Travel, VectorizeOptions, edge_coverage, load, order, order_with_effort,
-    render_rgb, tone_correlation, vectorize_image,
-};
+use crate::drawing::{Drawing, Input, OrderOptions, Stroke, Travel, load, order, order_with_effort};
 use crate::planning::planned_s;
 use crate::setup;
 use etherpen::config::Config;
-use image::{RgbImage, imageops};
 use serde::Deserialize;
-use std::path::PathBuf;
 use std::process::{Command, Stdio};
 use std::time::Instant;
 
-/// The photographs.
-const PHOTOGRAPHS: [&str; 2] = ["astronaut.png", "camera.png"];
-/// The vector files.
-const VECTORS: [&str; 4] = ["contours.svg", "grass.svg", "portrait.svg", "streets.svg"];
-/// Runs of which the fastest counts.
-const RUNS: usize = 3;
+/// Largest gap closed by both programs, mm: vpype's default.
+const JOIN_MM: f64 = 0.05;
 /// Effort of the search for the best tour.
 const BEST_EFFORT: usize = 40;
 /// Largest mean ratio of the travel lengths to the best known ones; no travel may be longer than the given one.
 const PEN_UP_RATIO_MAX: f64 = 1.10;
 /// Share of vpype's time that the order may take.
 const TIME_SHARE_MAX: f64 = 0.1;
-/// linedraw's tone on portraits of this size is 0.83 to 0.94.
-const TONE_MIN: f64 = 0.83;
-/// A photograph of a megapixel may take about a second; any photograph may take this long.
-const SECONDS_PER_MEGAPIXEL: f64 = 1.0;
-const SECONDS_MIN: f64 = 1.0;
-/// Largest gap closed by both programs, mm: vpype's default.
-const JOIN_MM: f64 = 0.05;
-/// Line width of the pen and scale of the compared drawing.
-const PEN_MM: f64 = 0.5;
-const PX_PER_MM: f64 = 5.0;
+/// The vector files.
+const VECTORS: [&str; 4] = ["contours.svg", "grass.svg", "portrait.svg", "streets.svg"];
 /// Orders files with vpype and prints a line of JSON for each.
 const VPYPE: &str = r#"
 import copy, json, sys, time
@@ -68,30 +52,9 @@ struct Peer {
     pen_up_mm: f64,
 }
 
-fn failed(program: &str, cause: impl std::fmt::Display) -> BenchError {
-    BenchError::Program {
-        program: program.to_owned(),
-        cause: cause.to_string(),
-    }
-}
-
-/// Runs the selected benchmarks; `progress` gets a description of each step.
-///
-/// # Errors
-/// A sample cannot be read, or vpype cannot be set up or fails.
-pub fn run(selection: &Selection, progress: impl Fn(&str)) -> Result<BenchReport, BenchError> {
-    let mut rows = Vec::new();
-    let wants = |file: &str, names: &[&str], subject: &str| {
-        names
-            .iter()
-            .any(|name| selection.wants(&format!("{name}/{file}"), subject))
-    };
-    for file in PHOTOGRAPHS {
-        if wants(file, &["lifts", "seconds", "tone", "edges"], "etherpen") {
-            progress(&format!("vectorising {file}"));
-            photograph(file, &mut rows)?;
-        }
-    }
+/// Appends the figures of the selected vector files.
+pub(super) fn run(selection: &Selection, progress: &impl Fn(&str), rows: &mut Vec<BenchRow>) -> Result<(), BenchError> {
+    let wants = |file: &str, names: &[&str], subject: &str| wants(selection, file, names, subject);
     let ordered = ["pen_up_mm", "lifts", "seconds", "drawing_s"];
     let wanted = VECTORS.into_iter().filter(|file| {
         ["etherpen", "vpype", "best known"]
@@ -100,79 +63,13 @@ pub fn run(selection: &Selection, progress: impl Fn(&str)) -> Result<BenchReport
     });
     let files: Vec<&str> = wanted.collect();
     let has_peer = files.iter().any(|file| wants(file, &ordered, "vpype"));
-    let peers = if has_peer {
-        vpype(&files, &progress)?
-    } else {
-        Vec::new()
-    };
+    let peers = if has_peer { vpype(&files, progress)? } else { Vec::new() };
     for (k, file) in files.into_iter().enumerate() {
         progress(&format!("ordering {file}"));
-        vectors(file, peers.get(k), &mut rows)?;
+        vectors(file, peers.get(k), rows)?;
     }
-    mean_ratio(&mut rows);
-    rows.retain(|row: &BenchRow| selection.wants(&row.case, row.subject));
-    Ok(BenchReport { bench: "drawing", rows })
-}
-
-fn sample(file: &str) -> PathBuf {
-    let folder = setup::workspace().join("samples");
-    if file.ends_with(".svg") {
-        folder.join("vectors").join(file)
-    } else {
-        folder.join(file)
-    }
-}
-
-fn photograph(file: &str, rows: &mut Vec<BenchRow>) -> Result<(), BenchError> {
-    let Input::Photograph(picture) = load(sample(file)).map_err(|cause| failed(file, cause))? else {
-        return Err(failed(file, "this is no photograph"));
-    };
-    let options = VectorizeOptions::default();
-    let (mut seconds, mut drawing) = (f64::INFINITY, Drawing::default());
-    for _ in 0..RUNS {
-        let begun = Instant::now();
-        drawing = vectorize_image(&picture, &options).map_err(|cause| failed(file, cause))?;
-        seconds = seconds.min(begun.elapsed().as_secs_f64());
-    }
-    let megapixels = f64::from(picture.width()) * f64::from(picture.height()) / 1e6;
-    let rendered = rendered(&picture, &drawing, &options).map_err(|cause| failed(file, cause))?;
-    let figures = [
-        ("lifts", drawing.strokes.len() as f64, "lifts", None),
-        ("pen_up_mm", drawing.pen_up_mm(), "mm", None),
-        (
-            "seconds",
-            seconds,
-            "s",
-            Some((SECONDS_PER_MEGAPIXEL * megapixels).max(SECONDS_MIN)),
-        ),
-        (
-            "tone",
-            tone_correlation(&picture, &rendered),
-            "correlation",
-            Some(TONE_MIN),
-        ),
-        ("edges", edge_coverage(&picture, &rendered), "share", None),
-    ];
-    rows.extend(figures.map(|(name, value, unit, target)| BenchRow {
-        case: format!("{name}/{file}"),
-        subject: "etherpen",
-        value,
-        unit,
-        target,
-    }));
+    mean_ratio(rows);
     Ok(())
-}
-
-/// The drawing as an image of the photograph's part of the sheet.
-fn rendered(
-    picture: &RgbImage,
-    drawing: &Drawing,
-    options: &VectorizeOptions,
-) -> Result<RgbImage, crate::drawing::DrawingError> {
-    let place_mm = options.picture_mm(picture.width(), picture.height())?;
-    let whole = render_rgb(&drawing.strokes, drawing.sheet_mm, PEN_MM, PX_PER_MM);
-    let [left, top, width, height] = place_mm.map(|mm| (mm * PX_PER_MM).round() as u32);
-    Ok(imageops::crop_imm(&whole, left, top, width, height).to_image())
 }
 
 fn vectors(file: &str, peer: Option<&Peer>, rows: &mut Vec<BenchRow>) -> Result<(), BenchError> {
