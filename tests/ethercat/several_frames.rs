@@ -11,7 +11,7 @@ use etherpen::ethercat::slave_set::SlaveSet;
 use etherpen::ethercat::supervisor::{BusEvent, Step};
 use etherpen::ethercat::wire::{Command, FrameView};
 use etherpen_segment::random::Random;
-use etherpen_segment::{Fault, SegmentOptions, SlaveKind};
+use etherpen_segment::{Branch, ClockOptions, Fault, SegmentOptions, SlaveKind};
 
 /// What the host's master has: 64 slaves, and four frames behind the first one in each direction.
 type Bench = bench::Bench<64, 4>;
@@ -298,6 +298,11 @@ fn chain_without_its_last(clocks: &[bool]) -> Bench {
         slaves: slaves.collect(),
         ..SegmentOptions::default()
     };
+    start_without(clocks.len(), &options)
+}
+
+/// A chain whose bus is operational while one slave, from 1, is not there yet.
+fn start_without(absent: usize, options: &SegmentOptions) -> Bench {
     let setup = BusSetup {
         terminals: SlaveSet::ALL,
         cycle_ns: 1_000_000,
@@ -305,8 +310,8 @@ fn chain_without_its_last(clocks: &[bool]) -> Bench {
         clocks: true,
         ..BusSetup::default()
     };
-    let mut bench = Bench::start(&options, setup);
-    bench.segment.inject(Fault::Remove(clocks.len()));
+    let mut bench = Bench::start(options, setup);
+    bench.segment.inject(Fault::Remove(absent));
     bench.operational();
     bench
 }
@@ -332,6 +337,39 @@ fn the_clock_of_an_extra_slave_is_no_error_for_ever() {
         bench.segment.inject(Fault::Remove(4));
         bench.run_ms(500);
         the_time_comes(&mut bench, &format!("gone, {round}"));
+    }
+}
+
+#[test]
+fn the_clocks_agree_whatever_is_plugged_into_a_free_port_of_a_junction() {
+    // Frames pass port 3 of the first slave before its port 1.
+    let behind_the_first = |slave, port| Branch {
+        slave,
+        behind: 1,
+        port,
+    };
+    let options = SegmentOptions {
+        slaves: vec![SlaveKind::Sii(terminal_of_bytes(1, 1, true).into()); 3],
+        branches: vec![behind_the_first(2, 3), behind_the_first(3, 1)],
+        clocks: ClockOptions {
+            cable_ns: 1_000,
+            ..ClockOptions::default()
+        },
+        ..SegmentOptions::default()
+    };
+    let mut bench = start_without(2, &options);
+    for round in 0..2 {
+        for plugged in [true, false] {
+            bench.segment.inject(match plugged {
+                true => Fault::Insert(2),
+                false => Fault::Remove(2),
+            });
+            bench.run_ms(3_000);
+            let times = bench.segment.system_times_ns();
+            let (first, behind) = (times[0].expect("a clock"), times[2].expect("a clock"));
+            let apart_ns = (first.wrapping_sub(behind) as i64).abs();
+            assert!(apart_ns < 200, "{round}, {plugged}: {apart_ns} ns");
+        }
     }
 }
 

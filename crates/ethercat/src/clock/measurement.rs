@@ -49,8 +49,10 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
     match chain {
         Ok(Some(chain)) => {
             put_in_order(clocks, &chain);
-            clocks.are_moved = false;
             take_delays(clocks, &chain);
+            // One that was not among them may stand anywhere when it is back.
+            let mut ordered = clocks.slaves.iter().enumerate().take(clocks.ordered.into());
+            clocks.are_moved = ordered.any(|(position, slave)| answers(position) && !slave.measured);
         }
         Ok(None) if has_junction => {} // The delays stay as they were measured before.
         Ok(None) => take_delays(clocks, &expected_chain(clocks)),
@@ -215,6 +217,18 @@ async fn look_through<const SLAVES: usize, const MESSAGE: usize>(
         };
         // There are at most as many as slaves.
         let _ = chain.push(there);
+    }
+    let still_there = discovery::count(port).await?;
+    let is_twice = |number: u8| {
+        let is_it = |place: &&Place| matches!(place, Place::Measured(there) if *there == number);
+        chain.iter().filter(is_it).count() > 1
+    };
+    if still_there != found || (0..clocks.slaves.len() as u8).any(is_twice) {
+        // The chain has changed meanwhile: slaves may stand elsewhere than they were seen.
+        return Err(BusError::WorkingCounter {
+            expected: found,
+            actual: still_there,
+        });
     }
     for (number, slave) in (0_u8..).zip(&mut clocks.slaves) {
         let is_it = |place: &Place| matches!(place, Place::Measured(there) if *there == number);

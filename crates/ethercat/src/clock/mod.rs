@@ -239,6 +239,7 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
             self.was_narrow |= slave.width == Some(Width::Bits32);
             *slave = SlaveClock {
                 place: slave.place,
+                told_delay_ns: NOT_TOLD,
                 ..*found
             };
         }
@@ -251,6 +252,12 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
             // There is an entry for each slave of the bus.
             let _ = self.slaves.push(SlaveClock { place, ..found });
         }
+    }
+
+    /// The slave whose time one that is set takes over: the first of the chain that has the time of the bus.
+    fn source_for(&self, position: usize) -> Option<usize> {
+        let is_source = |slave: &SlaveClock| slave.width.is_some() && slave.measured && slave.is_set;
+        self.first(|other, slave| other != position && is_source(slave))
     }
 
     /// The offset that makes the slave at `position` agree with `source`, both measured by one frame.
@@ -401,9 +408,7 @@ pub async fn restore<const SLAVES: usize, const MESSAGE: usize>(
     restart_loop(port, *station).await?;
     clocks.are_moved = true;
     measure(port, stations, clocks, answers).await?;
-    let is_source = |slave: &SlaveClock| slave.width.is_some() && slave.measured && slave.is_set;
-    let mut others = clocks.slaves.iter().enumerate().filter(|(other, _)| *other != position);
-    let source = others.find(|(_, slave)| is_source(slave)).map(|(other, _)| other);
+    let source = clocks.source_for(position);
     if source.is_none() && clocks.is_set(position) {
         return Ok(());
     }

@@ -277,7 +277,12 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             (self.slaves_sorted, self.rescans_failed) = (self.bus.present(), 0);
         }
         let there = self.inbox.slaves();
-        if there > self.bus.present() && there != self.slaves_sorted {
+        let is_changed = there != self.slaves_sorted && there >= self.bus.present();
+        if is_changed {
+            // Strangers, too, are in the way of the frames: at a junction before slaves whose neighbours stay.
+            self.bus.clocks.chain_changed();
+        }
+        if is_changed && there > self.bus.present() {
             let Self { bus, inbox, .. } = self;
             let expected = Expectation {
                 slaves: Some(there),
@@ -314,6 +319,9 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             }
         } else if there <= self.bus.present() {
             self.slaves_sorted = there;
+        }
+        if is_changed {
+            self.bus.tell_delays().await;
         }
         self.inspected_ms = self.bus.port.now_ms();
     }

@@ -217,3 +217,66 @@ fn a_slave_that_may_be_another_one_is_told_its_delay_again() {
         1_000
     );
 }
+
+#[test]
+fn a_chain_of_which_only_a_part_was_seen_is_looked_through_again() {
+    for (one, other) in pairs_of_places() {
+        for seen in 1..4 {
+            let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 123_456, 0)]);
+            let mut clocks = chain.set_up();
+            chain.exchange(one, other);
+            clocks.chain_changed();
+            let behind_a_loose_cable = chain.slaves.split_off(seen);
+            let mut tell = |chain: &mut Chain| {
+                let told = chain.run(async |mut port: AcyclicPort<'static, 64>| {
+                    tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await
+                });
+                told.expect("the delays");
+                clocks.clone()
+            };
+            tell(&mut chain);
+            chain.slaves.extend(behind_a_loose_cable);
+            let clocks = tell(&mut chain);
+            assert_told_by_the_first(&chain, &clocks, &std::format!("{one} for {other}, {seen} seen"));
+        }
+    }
+}
+
+#[test]
+fn a_clock_takes_the_time_from_the_first_of_the_chain_whatever_its_number() {
+    let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 123_456, 0)]);
+    let mut clocks = chain.set_up();
+    chain.exchange(0, 2);
+    clocks.chain_changed();
+    // Slave 0, the last one now, has come back almost in time.
+    chain.slaves[2].start_ns += 15_000;
+    clocks.was_off(1);
+    let restored = chain.run(async |mut port: AcyclicPort<'static, 64>| {
+        tell_delays(&mut port, &STATIONS, &mut clocks, |number| number != 1).await?;
+        restore(&mut port, &STATIONS, &mut clocks, 1, |_| true).await
+    });
+    restored.expect("the repair");
+    let time = |slave: usize| chain.slaves[slave].system_ns(chain.true_ns);
+    assert_eq!(time(1), time(0));
+}
+
+#[test]
+fn a_replaced_clock_is_told_its_delay_whatever_it_was_told_elsewhere() {
+    let mut chain = Chain::new([(WIDE, 5, 0), (WIDE, 1 << 40, 0), (WIDE, 42, 0), (WIDE, 123_456, 0)]);
+    let mut clocks = chain.set_up();
+    chain.slaves[0].put(register::DC_DELAY, &77_u32.to_le_bytes());
+    let found = SlaveClock {
+        width: NARROW,
+        ..clocks.slaves[0]
+    };
+    clocks.replace(0, &found);
+    clocks.found_in_time(0);
+    let told = chain.run(async |mut port: AcyclicPort<'static, 64>| {
+        tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await
+    });
+    told.expect("the delays");
+    assert_eq!(
+        read_u32(&chain.slaves[0].memory, usize::from(register::DC_DELAY)),
+        0
+    );
+}
