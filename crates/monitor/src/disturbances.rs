@@ -101,6 +101,13 @@ impl Disturbances {
                     };
                 }
             }
+            Input::Mounted { axis } => {
+                if let Some(flag) = self.feedback.get_mut(axis) {
+                    (*flag, self.misreferenced) = (false, true);
+                    self.before_homing = self.before_homing.map(|_| true);
+                    self.is_search_false |= self.search != Search::None;
+                }
+            }
             Input::Drive { axis, deaf } => {
                 if let (Some(flag), Some(since_ms)) = (self.deaf.get_mut(axis), self.deaf_ms.get_mut(axis)) {
                     *flag = deaf;
@@ -289,6 +296,45 @@ mod tests {
     }
 
     #[test]
+    fn a_robot_whose_encoder_was_mounted_again_is_misled_until_it_is_homed_and_no_longer() {
+        let (cell, motion) = (Cell::default(), Motion::default());
+        let (home, search) = (Input::Commanded(Command::Home), Input::Commanded(Command::Search));
+        let mut disturbances = Disturbances::default();
+        let untrue = |disturbances: &mut Disturbances, mounted: bool| {
+            let disturbed = Input::Feedback {
+                axis: 1,
+                disturbed: true,
+            };
+            disturbances.take(&cell, &motion, &disturbed);
+            disturbances.step(10);
+            if mounted {
+                disturbances.take(&cell, &motion, &Input::Mounted { axis: 1 });
+                disturbances.step(11 + SETTLE_MS);
+                assert!(!disturbances.feedback() && disturbances.is_misled());
+            }
+        };
+        untrue(&mut disturbances, true);
+        disturbances.take(&cell, &motion, &home);
+        disturbances.hear(&Report::Refused(Command::Home));
+        assert!(disturbances.is_misled(), "refused");
+        disturbances.take(&cell, &motion, &home);
+        disturbances.hear(&Report::Accepted(Command::Home));
+        assert!(disturbances.none(), "homed");
+        for mounted_in_search in [true, false] {
+            untrue(&mut disturbances, !mounted_in_search);
+            disturbances.take(&cell, &motion, &search);
+            disturbances.hear(&Report::Accepted(Command::Search));
+            disturbances.hear(&Report::Homed(false));
+            if mounted_in_search {
+                disturbances.take(&cell, &motion, &Input::Mounted { axis: 1 });
+            }
+            disturbances.step(100 + 2 * SETTLE_MS);
+            disturbances.hear(&Report::Homed(true));
+            assert_eq!(disturbances.none(), !mounted_in_search);
+        }
+    }
+
+    #[test]
     fn a_search_goes_on_whatever_is_refused_beside_it() {
         let (cell, motion) = (Cell::default(), Motion::default());
         let order = Input::Commanded(Command::Search);
@@ -308,7 +354,12 @@ mod tests {
         assert!(answer_lost.searches());
         let mut still_known = Disturbances::default();
         still_known.take(&cell, &motion, &order);
-        for report in [&accepted, &Report::Mode(Mode::Homing), &Report::Homed(true), &Report::Homed(false)] {
+        for report in [
+            &accepted,
+            &Report::Mode(Mode::Homing),
+            &Report::Homed(true),
+            &Report::Homed(false),
+        ] {
             still_known.hear(report);
             assert!(still_known.searches(), "{report:?}");
         }

@@ -33,6 +33,7 @@ fn input() -> impl Strategy<Value = Input> {
         1 => any::<bool>().prop_map(Input::StopInput),
         1 => any::<bool>().prop_map(Input::ClockFailed),
         1 => (0_usize..9, any::<bool>()).prop_map(|(axis, disturbed)| Input::Feedback { axis, disturbed }),
+        1 => (0_usize..9).prop_map(|axis| Input::Mounted { axis }),
         1 => any::<bool>().prop_map(|disturbed| Input::Machine { disturbed }),
         1 => (0_usize..9, any::<bool>()).prop_map(|(axis, deaf)| Input::Drive { axis, deaf }),
         1 => any::<bool>().prop_map(|cut| Input::Link { cut }),

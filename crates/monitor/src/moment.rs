@@ -81,6 +81,12 @@ pub enum Input {
     StopInput(bool),
     /// The board's clock source has failed, or works again: a stop at once.
     ClockFailed(bool),
+    /// The encoder of this axis, from 0, was mounted again: it shows true positions from now on, but the reference of the axis
+    /// is not true until it is homed.
+    Mounted {
+        /// The axis.
+        axis: usize,
+    },
     /// The position feedback of an axis, from 0, is not true from now on, or true again. A reference that was taken
     /// from it or that it has shifted is not true either, until the axis is homed at its true angle.
     Feedback {

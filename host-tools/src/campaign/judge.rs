@@ -87,10 +87,11 @@ pub(super) struct Judge {
     /// Those among them that end only when they are put right.
     open: Vec<Open>,
     untrue: [u32; AXES],
-    /// Axes whose encoder was mounted again: their positions are true once the robot is homed.
-    mounted: [bool; AXES],
-    /// Those among them that were mounted since the last search was ordered, which may have passed them before.
-    mounted_since: [bool; AXES],
+    /// Axes whose reference is not true: their encoder was mounted again, or was not true as the robot was homed.
+    unsure: [bool; AXES],
+    /// Axes whose encoder has been true since an order to home reached the board, and since a search was accepted.
+    offered: [bool; AXES],
+    shown: [bool; AXES],
     axes: usize,
     chain: Chain,
     has_switches: bool,
@@ -117,8 +118,9 @@ impl Judge {
             disturbances: 0,
             open: Vec::new(),
             untrue: [0; AXES],
-            mounted: [false; AXES],
-            mounted_since: [false; AXES],
+            unsure: [false; AXES],
+            offered: [false; AXES],
+            shown: [false; AXES],
             axes: config.bus.drives.into(),
             chain: Chain::new(config),
             has_switches: config.has_home_switches(),
@@ -170,8 +172,8 @@ impl Judge {
     /// A command has reached the board. The path of a drawing follows its order.
     fn reached(&mut self, command: &Command) {
         self.inputs.extend(self.command_of(command).map(Input::Commanded));
-        if matches!(command, Command::Home) && !self.searches {
-            self.mounted_since = [false; AXES];
+        if matches!(command, Command::Home | Command::HomeAt { .. }) {
+            self.offered = self.untrue.map(|disturbances| disturbances == 0);
         }
         if let Command::Draw { job } = *command
             && let Some((_, path)) = self.ordered.take_if(|(ordered, _)| *ordered == job)
@@ -183,8 +185,9 @@ impl Judge {
     pub(super) fn answered(&mut self, command: &Command, accepted: bool) {
         let is_home = matches!(command, Command::Home) && !self.has_switches;
         if accepted && (is_home || matches!(command, Command::HomeAt { .. })) {
-            self.mounted_since = [false; AXES];
-            self.homed();
+            self.homed(self.offered);
+        } else if accepted && matches!(command, Command::Home) {
+            self.shown = self.offered;
         }
         self.reports
             .extend(self.command_of(command).map(|command| match accepted {
@@ -238,7 +241,7 @@ impl Judge {
         let searched = self.searches;
         self.searches = mode == Mode::Homing;
         if searched && !self.searches && is_referenced {
-            self.homed();
+            self.homed(self.shown);
         }
     }
 
@@ -321,14 +324,15 @@ impl Judge {
             return;
         };
         *untrue += 1;
+        (self.offered[axis], self.shown[axis]) = (false, false);
         self.inputs.push(Input::Feedback { axis, disturbed: true });
         if let Some(lasts_ms) = lasts_ms {
             self.ends_after(now_ms, lasts_ms, Input::Feedback { axis, disturbed: false });
         }
     }
 
-    /// An axis's encoder has been put right. One that had lost its position shows it again after the robot is homed:
-    /// until then the controller goes on from the false one.
+    /// An axis's encoder has been put right. One that had lost its position shows true changes again, but from another zero:
+    /// the robot has to be homed.
     fn true_again(&mut self, slave: usize) {
         let Some(axis) = self.chain.axis(slave) else { return };
         let Some(untrue) = self.untrue.get_mut(axis) else {
@@ -339,27 +343,27 @@ impl Judge {
         self.ends
             .retain(|(_, end)| !matches!(end, Input::Feedback { axis: other, .. } if *other == axis));
         let passing = before - self.ends.len();
-        if disturbances as usize > passing {
-            (self.mounted[axis], self.mounted_since[axis]) = (true, true);
-        } else if !self.mounted[axis] {
-            self.inputs.push(Input::Feedback { axis, disturbed: false });
-        }
-    }
-
-    /// The robot is homed: encoders that were mounted again before show true positions.
-    fn homed(&mut self) {
-        let later = std::mem::take(&mut self.mounted_since);
-        for (axis, mounted) in self.mounted.iter_mut().enumerate() {
-            // A younger disturbance lasts on.
-            if std::mem::replace(mounted, later[axis]) && !*mounted && self.untrue[axis] == 0 {
-                self.inputs.push(Input::Feedback { axis, disturbed: false });
+        (self.offered[axis], self.shown[axis]) = (false, false);
+        self.inputs.push(match disturbances as usize > passing {
+            true => {
+                self.unsure[axis] = true;
+                Input::Mounted { axis }
             }
+            false => Input::Feedback { axis, disturbed: false },
+        });
+    }
+
+    /// The robot is homed by encoders of which these are true.
+    fn homed(&mut self, by: [bool; AXES]) {
+        for (unsure, is_true) in self.unsure.iter_mut().zip(by).take(self.axes) {
+            *unsure = !is_true;
         }
     }
 
-    /// Whether an encoder was mounted again, so that the robot has to be homed.
+    /// Whether an axis shows true positions, but not from a true reference, so that the robot has to be homed.
     pub(super) fn asks_for_homing(&self) -> bool {
-        self.mounted.contains(&true)
+        let mut axes = self.unsure.iter().zip(self.untrue);
+        axes.any(|(unsure, disturbances)| *unsure && disturbances == 0)
     }
 
     /// The machine is disturbed for some milliseconds, or until it is healed.
@@ -396,9 +400,7 @@ impl Judge {
         self.open.clear();
         (self.disturbances, self.untrue) = (0, [0; AXES]);
         for axis in 0..self.axes {
-            if !self.mounted[axis] {
-                self.inputs.push(Input::Feedback { axis, disturbed: false });
-            }
+            self.inputs.push(Input::Feedback { axis, disturbed: false });
             self.inputs.push(Input::Drive { axis, deaf: false });
         }
         self.inputs.push(Input::Machine { disturbed: false });
@@ -414,7 +416,6 @@ impl Judge {
     /// Tells the ends that have come. What is disturbed several times is sound again when the last of them has ended.
     fn end_disturbances(&mut self, now_ms: u64) {
         let (inputs, disturbances, untrue) = (&mut self.inputs, &mut self.disturbances, &mut self.untrue);
-        let mounted = &self.mounted;
         self.ends.retain(|(ends_ms, end)| {
             let over = *ends_ms <= now_ms;
             if !over {
@@ -429,9 +430,7 @@ impl Judge {
                 *left = left.saturating_sub(1);
                 *left == 0
             });
-            // A mounted encoder is not true before the robot is homed.
-            let awaits_home = matches!(*end, Input::Feedback { axis, .. } if mounted.get(axis) == Some(&true));
-            inputs.extend((is_last && !awaits_home).then_some(*end));
+            inputs.extend(is_last.then_some(*end));
             false
         });
     }
@@ -719,60 +718,87 @@ mod tests {
             let left = (judge.disturbances, judge.untrue, judge.open.len());
             assert_eq!(left, (0, [0; AXES], 0), "{words}");
             assert_eq!(judge.asks_for_homing(), words.starts_with("slip"), "{words}");
+            judge.reached(&Command::Home);
             judge.answered(&Command::Home, true);
             assert!(!judge.asks_for_homing());
-        }
-        // A mounted encoder stays untrue over younger disturbances, and until the robot is homed after them.
-        let mut judge = Judge::new(&config);
-        let told_true = |judge: &Judge| {
-            let sound = |input: &&Input| {
-                matches!(
-                    input,
-                    Input::Feedback {
-                        axis: 1,
-                        disturbed: false
-                    }
-                )
-            };
-            judge.inputs.iter().filter(sound).count()
-        };
-        for words in ["slip 2 10 50", "stuck 2 0", "stuck 2 20"] {
-            judge.injected(fault(words), 1, 1_000);
-        }
-        judge.end_disturbances(2_000);
-        assert_eq!(told_true(&judge), 0, "nobody has homed");
-        judge.injected(fault("slip 2 10 50"), 1, 2_000);
-        judge.answered(&Command::Home, true);
-        assert_eq!(told_true(&judge), 0, "it slips again");
-        judge.injected(fault("stuck 2 0"), 1, 3_000);
-        judge.answered(&Command::Home, true);
-        assert_eq!(told_true(&judge), 1);
-
-        // A search shows nothing about an encoder that is mounted while it goes on.
-        let mut judge = Judge::new(&config);
-        judge.has_switches = true;
-        for fitted_in_search in [true, false] {
-            judge.injected(fault("slip 2 10 50"), 1, 4_000);
-            if !fitted_in_search {
-                judge.injected(fault("stuck 2 0"), 1, 4_500);
-            }
-            judge.reached(&Command::Home);
-            judge.answered(&Command::Home, true);
-            judge.in_mode(Mode::Homing, false);
-            // Another order is refused meanwhile.
-            judge.reached(&Command::Home);
-            judge.answered(&Command::Home, false);
-            if fitted_in_search {
-                judge.injected(fault("stuck 2 0"), 1, 5_000);
-            }
-            judge.in_mode(Mode::Idle, true);
-            assert_eq!(judge.asks_for_homing(), fitted_in_search);
-            assert_eq!(told_true(&judge), usize::from(!fitted_in_search));
         }
 
         let mut judge = Judge::new(&config);
         judge.injected(fault("remove 3"), 1, 1_000);
         judge.end_disturbances(1_000_000);
         assert_eq!(judge.disturbances, 1, "it is still missing");
+    }
+
+    /// The inputs of the monitor that tell of the second axis's feedback, since the last call.
+    fn told(judge: &mut Judge) -> Vec<Input> {
+        let of_axis = |input: &Input| matches!(input, Input::Feedback { axis: 1, .. } | Input::Mounted { axis: 1 });
+        judge.inputs.drain(..).filter(of_axis).collect()
+    }
+
+    #[test]
+    fn a_mounted_encoder_is_true_and_its_reference_once_the_robot_is_homed() {
+        let mut judge = Judge::new(&Config::default());
+        let home = |judge: &mut Judge| {
+            judge.reached(&Command::Home);
+            judge.answered(&Command::Home, true);
+        };
+        let untrue = Input::Feedback {
+            axis: 1,
+            disturbed: true,
+        };
+        let mounted = Input::Mounted { axis: 1 };
+        for words in ["slip 2 10 50", "stuck 2 0"] {
+            judge.injected(fault(words), 1, 1_000);
+        }
+        assert_eq!(told(&mut judge), [untrue, mounted]);
+        assert!(judge.asks_for_homing());
+        // Nobody homes by an encoder that slips.
+        judge.injected(fault("slip 2 10 50"), 1, 2_000);
+        assert!(!judge.asks_for_homing());
+        home(&mut judge);
+        judge.injected(fault("stuck 2 0"), 1, 3_000);
+        assert_eq!(told(&mut judge), [untrue, mounted]);
+        assert!(judge.asks_for_homing());
+        home(&mut judge);
+        assert!(!judge.asks_for_homing());
+        // What passes ends by itself, but a robot that was homed meanwhile has an untrue reference.
+        for homes in [false, true] {
+            judge.injected(fault("stuck 2 20"), 1, 4_000);
+            if homes {
+                home(&mut judge);
+            }
+            judge.end_disturbances(5_000);
+            let sound = Input::Feedback {
+                axis: 1,
+                disturbed: false,
+            };
+            assert_eq!(told(&mut judge), [untrue, sound]);
+            assert_eq!(judge.asks_for_homing(), homes);
+        }
+    }
+
+    #[test]
+    fn a_search_shows_nothing_about_an_encoder_that_is_mounted_while_it_goes_on() {
+        for (mounted_in_search, answer_lost) in [(false, false), (true, false), (true, true), (false, true)] {
+            let mut judge = Judge::new(&Config::default());
+            judge.has_switches = true;
+            judge.injected(fault("slip 2 10 50"), 1, 4_000);
+            if !mounted_in_search {
+                judge.injected(fault("stuck 2 0"), 1, 4_500);
+            }
+            judge.reached(&Command::Home);
+            if !answer_lost {
+                judge.answered(&Command::Home, true);
+            }
+            if mounted_in_search {
+                judge.injected(fault("stuck 2 0"), 1, 5_000);
+            }
+            // Another order is refused meanwhile, perhaps before the mode is told.
+            judge.reached(&Command::Home);
+            judge.answered(&Command::Home, false);
+            judge.in_mode(Mode::Homing, false);
+            judge.in_mode(Mode::Idle, true);
+            assert_eq!(judge.asks_for_homing(), mounted_in_search || answer_lost);
+        }
     }
 }

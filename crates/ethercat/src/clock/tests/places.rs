@@ -271,12 +271,8 @@ fn a_replaced_clock_is_told_its_delay_whatever_it_was_told_elsewhere() {
     };
     clocks.replace(0, &found);
     clocks.found_in_time(0);
-    let told = chain.run(async |mut port: AcyclicPort<'static, 64>| {
-        tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await
-    });
+    let told = chain
+        .run(async |mut port: AcyclicPort<'static, 64>| tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await);
     told.expect("the delays");
-    assert_eq!(
-        read_u32(&chain.slaves[0].memory, usize::from(register::DC_DELAY)),
-        0
-    );
+    assert_eq!(read_u32(&chain.slaves[0].memory, usize::from(register::DC_DELAY)), 0);
 }
