@@ -102,12 +102,14 @@ impl Joint {
     /// What the speeds add to `link . p''` in the joint's acceleration times its lever, mm2/s2. `speed` is the joint's,
     /// rad/s.
     pub(crate) fn pull(&self, velocity: &[Interval; 3], speed: Interval) -> Interval {
-        let Constraint::Link { tow, sway, level } = self.constraint else {
-            return Interval::ZERO;
-        };
-        let [x, y, z] = [0, 1, 2].map(|place| velocity[place] - tow[place] * speed);
-        let heights = if level { Interval::ZERO } else { z.square() };
-        x.square() + y.square() + heights - sway * speed.square()
+        match self.constraint {
+            Constraint::Link { tow, sway, level } => {
+                let [x, y, z] = [0, 1, 2].map(|place| velocity[place] - tow[place] * speed);
+                let heights = if level { Interval::ZERO } else { z.square() };
+                x.square() + y.square() + heights - sway * speed.square()
+            }
+            Constraint::Slide => Interval::ZERO,
+        }
     }
 }
 
@@ -123,9 +125,10 @@ impl Robot {
         }
     }
 
-    /// Lengths that bound how the tool's position bends over the angles, mm: the largest derivative of the other end of
-    /// a main axis's link by the angle, also the second, and the length of that link. `None` where the position is in
-    /// proportion to the angles.
+    /// Two lengths a and l, mm, with which the bounds in [`crate::average`] hold in every pose. With links, a is the largest
+    /// derivative of the other end of a main axis's link by the angle, also the second, and l the length of that link. For
+    /// other constraints they cover each lever divided by the length of its link, and the tool's second derivatives by the
+    /// angles; the kind's file has the proof. `None` where the position is in proportion to the angles.
     pub(crate) fn links_mm(&self) -> Option<[f64; 2]> {
         match self {
             Self::Delta(delta) => Some(delta.links_mm()),

@@ -3,7 +3,7 @@
 use crate::paths::Random;
 use crate::planning::{EXCESS, limits, robot};
 use etherpen_certify::{Certificate, Certifier, Kind, Quantity, Stretch};
-use etherpen_motion::robots::{Geometry, Kind as RobotKind, Position, ScaraGeometry};
+use etherpen_motion::robots::{Geometry, JointAngles, Kind as RobotKind, Kinematics, Position, ScaraGeometry};
 use etherpen_motion::{Settings, WorkArea};
 
 /// A straight stretch at one speed.
@@ -48,26 +48,11 @@ fn joints_move_as_in(settings: &Settings) {
     settings.paper.pressing_depth_mm = 1000.0;
     let settings = &settings;
     let area = WorkArea::new(settings).unwrap();
-    let (kinematics, volume) = (area.kinematics(), settings.work_area);
-    let reach = |[low, high]: [f64; 2]| [low.max(-volume.radius_mm), high.min(volume.radius_mm)];
-    let ([x_low, x_high], [y_low, y_high]) = (reach(volume.x_mm), reach(volume.y_mm));
+    let kinematics = area.kinematics();
     let mut random = Random::new(3);
-    let mut checked = 0;
-    while checked < 300 {
-        let at = [
-            random.between(x_low, x_high),
-            random.between(y_low, y_high),
-            random.between(volume.z_low_mm, volume.z_high_mm),
-        ];
-        let (Ok(angles), true) = (
-            kinematics.inverse(&Position::from(at)),
-            area.check_around(&Position::from(at), 1.0).is_ok(),
-        ) else {
-            continue;
-        };
-        let direction = [0, 1, 2].map(|_| random.between(-1.0, 1.0));
-        let length = direction.iter().map(|part| part * part).sum::<f64>().sqrt();
-        let unit = direction.map(|part| part / length);
+    for _ in 0..300 {
+        let (at, angles) = pose(settings, &area, &mut random);
+        let unit = direction(&mut random);
         let rows = kinematics.rows(&at, &unit, &[0.0; 3]);
         let (speed, acceleration) = (random.between(50.0, 300.0), random.between(-3_000.0, 3_000.0));
         let end = [0, 1, 2].map(|axis| at[axis] + unit[axis]);
@@ -97,7 +82,153 @@ fn joints_move_as_in(settings: &Settings) {
             let limit = motion.joint_acceleration_rad_s2[axis];
             close(Quantity::JointAcceleration(number), value.abs() / limit);
         }
-        checked += 1;
+    }
+}
+
+/// A random place inside the work area, a millimetre from its border at least, with the angles there.
+fn pose(settings: &Settings, area: &WorkArea, random: &mut Random) -> ([f64; 3], [f64; 3]) {
+    let volume = settings.work_area;
+    let reach = |[low, high]: [f64; 2]| [low.max(-volume.radius_mm), high.min(volume.radius_mm)];
+    let ([x_low, x_high], [y_low, y_high]) = (reach(volume.x_mm), reach(volume.y_mm));
+    loop {
+        let at = [
+            random.between(x_low, x_high),
+            random.between(y_low, y_high),
+            random.between(volume.z_low_mm, volume.z_high_mm),
+        ];
+        let position = Position::from(at);
+        if let (Ok(angles), true) = (
+            area.kinematics().inverse(&position),
+            area.check_around(&position, 1.0).is_ok(),
+        ) {
+            return (at, angles);
+        }
+    }
+}
+
+fn direction(random: &mut Random) -> [f64; 3] {
+    let raw = [0, 1, 2].map(|_| random.between(-1.0, 1.0));
+    let length = raw.iter().map(|part| part * part).sum::<f64>().sqrt();
+    raw.map(|part| part / length)
+}
+
+/// Bound of what the average of `window_ms` angles adds, mm; no limit of the motion counts.
+fn bound_mm(settings: &Settings, window_ms: u16, path: &[[f64; 3]], stretches: &[Stretch]) -> f64 {
+    let mut free = limits(settings, window_ms, EXCESS);
+    free.joint_speed_rad_s = [1.0e9; 4];
+    free.joint_acceleration_rad_s2 = [1.0e9; 4];
+    (free.speed_mm_s, free.travel_speed_mm_s, free.acceleration_mm_s2) = (1.0e9, 1.0e9, 1.0e9);
+    let mut certifier = Certifier::new(robot(settings), free, path.to_vec());
+    stretches.iter().for_each(|stretch| certifier.take(stretch));
+    certifier.finish().average_mm
+}
+
+/// Distance of the tool at these angles of the main axes from a place, mm.
+fn apart_mm(kinematics: &Kinematics, [a, b, c]: [f64; 3], from: &[f64; 3]) -> f64 {
+    let tool: [f64; 3] = kinematics.forward(&JointAngles([a, b, c, 0.0])).unwrap().into();
+    tool.iter()
+        .zip(from)
+        .map(|(there, here)| (there - here).powi(2))
+        .sum::<f64>()
+        .sqrt()
+}
+
+/// Covers the rounding of an angle and back, mm.
+const ROUNDING_MM: f64 = 1.0e-9;
+
+/// Where the joints' accelerations move the tool within a window, with all that the second derivatives of the tool's
+/// position do: the lengths of `Robot::links_mm` have to cover them.
+#[test]
+fn the_average_is_bounded_wherever_the_joints_bend_the_way_of_the_tool() {
+    const WINDOW_MS: u16 = 32;
+    let share = 1.0e-6 * (f64::from(WINDOW_MS).powi(2) - 1.0) / 24.0;
+    for kind in RobotKind::ALL {
+        let settings = Settings::usual(kind.geometry());
+        let area = WorkArea::new(&settings).unwrap();
+        let kinematics = area.kinematics();
+        let mut random = Random::new(5);
+        let mut bounded = 0;
+        for _ in 0..1_000 {
+            let (at, angles) = pose(&settings, &area, &mut random);
+            let unit = direction(&mut random);
+            let acceleration = 10.0_f64.powf(random.between(3.0, 6.0));
+            let end = [0, 1, 2].map(|axis| at[axis] + unit[axis]);
+            let moved = straight(at, unit, 0.0, acceleration, 1.0e-8);
+            let bound = bound_mm(&settings, WINDOW_MS, &[at, end], &[moved]);
+            if bound.is_infinite() {
+                continue;
+            }
+            bounded += 1;
+            let slope = kinematics.rows(&at, &unit, &[0.0; 3]).slope;
+            let averaged = [0, 1, 2].map(|axis| angles[axis] + slope[axis] * acceleration * share);
+            let apart = apart_mm(kinematics, averaged, &at);
+            assert!(
+                apart <= bound + ROUNDING_MM,
+                "{kind:?} at {at:?} along {unit:?}, {acceleration} mm/s2: {apart} mm, the bound is {bound} mm"
+            );
+        }
+        assert!(bounded > 300, "{kind:?}: {bounded} poses have a bound");
+    }
+}
+
+/// The tool starts from rest along a line; the angles of every window are averaged as the controller does.
+#[test]
+fn the_average_of_the_angles_on_a_line_stays_within_its_bound() {
+    const PIECE_S: f64 = 4.0e-3;
+    for kind in RobotKind::ALL {
+        let settings = Settings::usual(kind.geometry());
+        let area = WorkArea::new(&settings).unwrap();
+        let kinematics = area.kinematics();
+        let mut random = Random::new(7);
+        let (mut checked, mut closest) = (0, 0.0_f64);
+        while checked < 60 {
+            let (from, _) = pose(&settings, &area, &mut random);
+            let unit = direction(&mut random);
+            let acceleration = random.between(1_000.0, 30_000.0);
+            let window_ms = [4, 8, 16, 32][random.below(4)];
+            let pieces = 8 + random.below(8);
+            let way = |time_s: f64| 0.5 * acceleration * time_s.max(0.0).powi(2);
+            let place = |time_s: f64| [0, 1, 2].map(|axis: usize| from[axis] + unit[axis] * way(time_s));
+            let end_s = PIECE_S * pieces as f64;
+            if area.check_around(&place(end_s).into(), 1.0).is_err() {
+                continue;
+            }
+            checked += 1;
+            let stretch = |piece: usize| {
+                let time_s = PIECE_S * piece as f64;
+                let (here, there) = (place(time_s), place(time_s + PIECE_S));
+                let leg = [0, 1, 2].map(|axis| there[axis] - here[axis]);
+                let mut stretch = straight(here, leg, acceleration * time_s, acceleration, PIECE_S);
+                stretch.ends_s = time_s + PIECE_S;
+                stretch
+            };
+            let stretches: Vec<Stretch> = (0..pieces).map(stretch).collect();
+            let bound = bound_mm(&settings, window_ms, &[from, place(end_s)], &stretches);
+            let half_s = 0.5e-3 * (f64::from(window_ms) - 1.0);
+            for millisecond in 0..4 * pieces {
+                let middle_s = 1.0e-3 * millisecond as f64;
+                if middle_s + half_s > end_s {
+                    break;
+                }
+                let mut sums = [0.0; 3];
+                for number in 0..window_ms {
+                    let time_s = middle_s - half_s + 1.0e-3 * f64::from(number);
+                    let angles = kinematics.inverse(&place(time_s).into()).unwrap();
+                    sums = [0, 1, 2].map(|axis| sums[axis] + angles[axis]);
+                }
+                let averaged = sums.map(|sum| sum / f64::from(window_ms));
+                let apart = apart_mm(kinematics, averaged, &place(middle_s));
+                assert!(
+                    apart <= bound + ROUNDING_MM,
+                    "{kind:?} from {from:?} along {unit:?} at {middle_s} s: {apart} mm, the bound is {bound} mm"
+                );
+                closest = closest.max(apart / bound);
+            }
+        }
+        assert!(
+            closest > 0.8,
+            "{kind:?}: the average uses {closest} of its bound at most"
+        );
     }
 }
 

@@ -68,7 +68,8 @@ pub(crate) fn settings(random: &mut Random, kind: Kind) -> Settings {
     settings
 }
 
-/// A path of the default machine where another machine's sheet lies, as large as this machine can draw it.
+/// A path of the default machine where another machine's sheet lies: in the size at which a square of ±150 mm around the
+/// middle of the sheet lies inside the work area, in the default size at most.
 pub(crate) fn fitted(path: &[Vertex], settings: &Settings) -> Vec<Vertex> {
     let (paper, default) = (&settings.paper, Settings::default().paper);
     let scale = match settings.geometry.kind() {
