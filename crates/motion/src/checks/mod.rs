@@ -46,7 +46,8 @@ fn vertex(point: Vector, pen: Pen, stroke: u32) -> Vertex {
 /// Another kind's machine on which the tests' paths are drawn as on the default one.
 struct Bench {
     settings: Settings,
-    /// Size of a path against the default machine's.
+    /// Size of a path against the default machine's: that at which a square of ±150 mm around the middle of the sheet lies
+    /// inside the work area, 1 at most.
     scale: f64,
 }
 

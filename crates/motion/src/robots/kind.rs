@@ -65,6 +65,34 @@ impl Kind {
     /// Whether the third main axis is the tool's height, and moves nothing else.
     #[must_use]
     pub fn has_height_axis(self) -> bool {
-        matches!(self, Self::Gantry | Self::CoreXy | Self::Scara)
+        match self {
+            Self::Gantry | Self::CoreXy | Self::Scara => true,
+            Self::Delta | Self::LinearDelta => false,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The kind behind another one, in the order of the messages.
+    fn next(kind: Kind) -> Option<Kind> {
+        match kind {
+            Kind::Delta => Some(Kind::Gantry),
+            Kind::Gantry => Some(Kind::CoreXy),
+            Kind::CoreXy => Some(Kind::Scara),
+            Kind::Scara => Some(Kind::LinearDelta),
+            Kind::LinearDelta => None,
+        }
+    }
+
+    #[test]
+    fn the_list_has_every_kind_in_the_order_of_the_messages() {
+        assert!(core::iter::successors(Some(Kind::Delta), |kind| next(*kind)).eq(Kind::ALL));
+        for (number, kind) in Kind::ALL.into_iter().enumerate() {
+            assert_eq!(kind as usize, number);
+            assert_eq!(Kind::named(kind.name()), Some(kind));
+        }
     }
 }
