@@ -332,16 +332,55 @@ pub fn ensure_kickcat() -> Result<PathBuf, SetupError> {
     ensure_python("kickcat", KICKCAT, "")
 }
 
+/// What the portraits are compared with, each version pinned, and pip's extra words: the judge (dlib's detector and
+/// identity network), and the programs that draw photographs. hatched without its viewers, of which it imports none.
+const PORTRAITS: [(&str, &[&str]); 9] = [
+    ("numpy==2.1.3", &[]),
+    ("opencv-python-headless==4.10.0.84", &[]),
+    ("shapely==2.0.6", &[]),
+    ("scikit-image==0.25.2", &[]),
+    ("matplotlib==3.10.3", &[]),
+    ("dlib-bin==20.0.1.post1", &[]),
+    ("face_recognition_models==0.3.0", &["--no-deps"]),
+    ("plotline==0.2.0", &[]),
+    ("hatched==0.2.0", &["--no-deps", "svgwrite==1.4.3"]),
+];
+
+/// A Python with the judge of portraits and the other programs that draw them, in a separate folder below the target
+/// folder; installed if it is missing.
+///
+/// # Errors
+/// What is missing and how to get it.
+pub fn ensure_portraits() -> Result<PathBuf, SetupError> {
+    let imports = "import dlib, hatched, plotline, importlib.util as u; assert u.find_spec('face_recognition_models')";
+    ensure_packages(
+        "portraits",
+        imports,
+        &PORTRAITS,
+        "; or leave the portraits out: --quick",
+    )
+}
+
 /// A Python with `module` from the given version of PyPI's `package`.
 fn ensure_python(module: &str, package: &str, otherwise: &str) -> Result<PathBuf, SetupError> {
-    let dir = target_dir().join(module);
+    ensure_packages(module, &format!("import {module}"), &[(package, &[])], otherwise)
+}
+
+/// A Python in a folder of this name in which `imports` runs, because packages of PyPI were installed with pip's extra
+/// words.
+fn ensure_packages(
+    folder: &str,
+    imports: &str,
+    packages: &[(&str, &[&str])],
+    otherwise: &str,
+) -> Result<PathBuf, SetupError> {
+    let dir = target_dir().join(folder);
     let python = dir.join("bin/python");
-    let is_there = || output(Command::new(&python).args(["-c", &format!("import {module}")])).is_some();
+    let is_there = || output(Command::new(&python).args(["-c", imports])).is_some();
     if is_there() {
         return Ok(python);
     }
     ensure_program("python3")?;
-    eprintln!("etherpen: setting up {package} in {}", dir.display());
     let environment = || output(Command::new("python3").args(["-m", "venv"]).arg(&dir)).is_some();
     let there = environment() || (install("python3-venv").is_ok() && environment());
     if !there {
@@ -349,20 +388,30 @@ fn ensure_python(module: &str, package: &str, otherwise: &str) -> Result<PathBuf
             "Python's venv is needed and missing.\nTry: sudo apt-get install -y python3-venv, or your system's package",
         );
     }
-    let mut pip = Command::new(&python);
-    pip.args([
-        "-m",
-        "pip",
-        "install",
-        "--quiet",
-        "--disable-pip-version-check",
-        package,
-    ]);
-    // Data goes to stdout; the messages of a package manager are not data.
-    let installed = pip.stdin(Stdio::null()).stdout(Stdio::null()).status();
-    if installed.is_ok_and(|status| status.success()) && is_there() {
-        return Ok(python);
+    for (package, words) in packages {
+        eprintln!("etherpen: setting up {package} in {}", dir.display());
+        let mut pip = Command::new(&python);
+        pip.args([
+            "-m",
+            "pip",
+            "install",
+            "--quiet",
+            "--disable-pip-version-check",
+            package,
+        ]);
+        // Data goes to stdout; the messages of a package manager are not data.
+        let installed = pip.args(*words).stdin(Stdio::null()).stdout(Stdio::null()).status();
+        if !installed.is_ok_and(|status| status.success()) {
+            return not_installed(&python, package, otherwise);
+        }
     }
+    match packages.last() {
+        Some((package, _)) if !is_there() => not_installed(&python, package, otherwise),
+        _ => Ok(python),
+    }
+}
+
+fn not_installed(python: &Path, package: &str, otherwise: &str) -> Result<PathBuf, SetupError> {
     error(format!(
         "{package} could not be installed from PyPI.\nTry: {} -m pip install {package}{otherwise}",
         python.display()

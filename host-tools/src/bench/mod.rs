@@ -20,7 +20,7 @@ use crate::setup::SetupError;
 use serde::Serialize;
 
 /// Units of figures for which larger is better.
-const MORE_IS_BETTER: [&str; 2] = ["correlation", "share"];
+const MORE_IS_BETTER: [&str; 3] = ["correlation", "share", "margin"];
 
 /// One figure.
 #[derive(Clone, Debug, PartialEq, Serialize)]

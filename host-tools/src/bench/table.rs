@@ -13,7 +13,7 @@ pub fn table(report: &BenchReport) -> String {
     for row in ours {
         let peers = || {
             let others = report.rows.iter();
-            others.filter(|peer| peer.case == row.case && peer.subject != row.subject)
+            others.filter(|peer| is_compared(&row.case, &peer.case) && peer.subject != row.subject)
         };
         let theirs: Vec<String> = peers()
             .map(|peer| format!("{} {}", peer.subject, figure(peer.value)))
@@ -45,6 +45,13 @@ pub fn table(report: &BenchReport) -> String {
     text
 }
 
+/// Whether a peer's case is compared with one of the project's: the same one, or one of which the project has several
+/// kinds (`tone/cat/sketch` with a peer's `tone/cat`).
+fn is_compared(case: &str, peers: &str) -> bool {
+    case.strip_prefix(peers)
+        .is_some_and(|kind| kind.is_empty() || kind.starts_with('/'))
+}
+
 /// Whole numbers unchanged, others with four significant digits.
 fn figure(value: f64) -> String {
     if value.fract() == 0.0 || !value.is_finite() {
@@ -60,5 +67,34 @@ fn target(row: &BenchRow) -> String {
         (Some(target), Some(true)) => format!("{sign} {} met", figure(target)),
         (Some(target), _) => format!("{sign} {} missed", figure(target)),
         (None, _) => String::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_peer_without_kinds_stands_beside_each_kind_of_the_project() {
+        let row = |case: &str, subject, value| BenchRow {
+            case: case.to_owned(),
+            subject,
+            value,
+            unit: "share",
+            target: None,
+        };
+        let rows = vec![
+            row("edges/cat/sketch", "etherpen", 0.5),
+            row("edges/cat/tsp", "etherpen", 0.25),
+            row("edges/cats", "etherpen", 0.125),
+            row("edges/cat", "hatched", 0.75),
+        ];
+        let shown = table(&BenchReport { bench: "drawing", rows });
+        let beside: Vec<bool> = shown
+            .lines()
+            .skip(1)
+            .map(|line| line.ends_with("hatched 0.7500"))
+            .collect();
+        assert_eq!(beside, [true, true, false], "{shown}");
     }
 }

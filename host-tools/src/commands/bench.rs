@@ -1,11 +1,13 @@
 //! `etherpen bench`: the project's figures together with those of its peers, measured in one run.
 
 use super::print_json;
+use crate::bench::drawing::DrawingPlan;
 use crate::bench::table::table;
 use crate::bench::{self, Selection, console, drawing, ethercat, motion, recording};
 use crate::error::{ProgramError, code};
 use crate::setup;
 use std::io::Write;
+use std::path::PathBuf;
 
 /// Stops of each kind under each load of the console.
 const CONSOLE_STOPS: usize = 20;
@@ -22,10 +24,11 @@ enum Bench {
     /// A stop through the console under hostile load, by socket and by request: longest delay down to the port, and the
     /// console's memory.
     Console(Options),
-    /// The vectoriser on the sample photographs (time, strokes, tone, edges), and the order of the sample vectors
-    /// compared with vpype's (linemerge linesort --two-opt; from PyPI, set up in a separate folder below the target
-    /// folder).
-    Drawing(Options),
+    /// The vectoriser on the sample photographs (time, strokes, tone, edges); the order of the sample vectors compared
+    /// with vpype's (linemerge linesort --two-opt); ten photographs in every style beside the drawings of hatched and
+    /// plotline in the same drawing time, judged by dlib's faces. vpype, the other programs, the judge and most
+    /// photographs come from PyPI and are set up in separate folders below the target folder (about a gigabyte).
+    Drawing(DrawingOptions),
     /// The EtherCAT master compared with ethercrab: instructions of a cycle, memory, code, frames of a bring-up.
     Ethercat(Options),
     /// The firmware in the emulator: late cycles, lost frames, release jitter, delays, execution times, load.
@@ -36,6 +39,20 @@ enum Bench {
     Motion(MotionOptions),
     /// A long recording through writer and reader: samples lost, bytes of a sample, growth of memory.
     Recording(RecordingOptions),
+}
+
+/// Options of the benchmark of drawings.
+#[derive(clap::Args, Debug)]
+struct DrawingOptions {
+    /// No portraits, which take about a quarter of an hour.
+    #[arg(long)]
+    quick: bool,
+    /// The PNG to write with the portraits side by side: a row for each photograph, with the photograph, the five styles
+    /// and the other programs, each above its drawing time.
+    #[arg(long, value_name = "OUT.png", conflicts_with = "quick")]
+    contact_sheet: Option<PathBuf>,
+    #[command(flatten)]
+    options: Options,
 }
 
 /// Options of the recorder's benchmark.
@@ -106,7 +123,17 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
             let report = console::run(&options.selection(), &program, CONSOLE_STOPS, progress);
             (options, report)
         }
-        Bench::Drawing(options) => (options, drawing::run(&options.selection(), progress)),
+        Bench::Drawing(DrawingOptions {
+            quick,
+            contact_sheet,
+            options,
+        }) => {
+            let plan = DrawingPlan {
+                quick: *quick,
+                contact_sheet: contact_sheet.clone(),
+            };
+            (options, drawing::run(&options.selection(), &plan, progress))
+        }
         Bench::Ethercat(options) => (options, ethercat::run(&options.selection(), progress)),
         Bench::Latency(arguments) => return super::latency::run(arguments),
         Bench::Recording(RecordingOptions { hours, options }) => (options, recording::run(*hours)),

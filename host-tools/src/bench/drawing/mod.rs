@@ -1,6 +1,11 @@
-//! Benchmarks of drawings: the vectoriser on photographs, and the order of strokes compared with vpype's.
+//! Benchmarks of drawings: the vectoriser on photographs, portraits beside those of other programs, and the order of
+//! strokes compared with vpype's.
 
+mod judge;
 mod order;
+mod peers;
+mod photographs;
+mod portraits;
 
 use super::{BenchError, BenchReport, BenchRow, Selection};
 use crate::drawing::{
@@ -31,11 +36,20 @@ fn failed(program: &str, cause: impl std::fmt::Display) -> BenchError {
     }
 }
 
+/// Parts of this benchmark that take long.
+#[derive(Clone, Debug, Default)]
+pub struct DrawingPlan {
+    /// No portraits.
+    pub quick: bool,
+    /// The PNG with all portraits to write.
+    pub contact_sheet: Option<PathBuf>,
+}
+
 /// Runs the selected benchmarks; `progress` gets a description of each step.
 ///
 /// # Errors
-/// A sample cannot be read, or vpype cannot be set up or fails.
-pub fn run(selection: &Selection, progress: impl Fn(&str)) -> Result<BenchReport, BenchError> {
+/// A sample cannot be read; vpype, the judge of portraits or another program cannot be set up or fails.
+pub fn run(selection: &Selection, plan: &DrawingPlan, progress: impl Fn(&str)) -> Result<BenchReport, BenchError> {
     let mut rows = Vec::new();
     for file in PHOTOGRAPHS {
         if wants(selection, file, &["lifts", "seconds", "tone", "edges"], "etherpen") {
@@ -44,6 +58,9 @@ pub fn run(selection: &Selection, progress: impl Fn(&str)) -> Result<BenchReport
         }
     }
     order::run(selection, &progress, &mut rows)?;
+    if !plan.quick {
+        portraits::run(selection, plan.contact_sheet.as_deref(), &progress, &mut rows)?;
+    }
     rows.retain(|row: &BenchRow| selection.wants(&row.case, row.subject));
     Ok(BenchReport { bench: "drawing", rows })
 }

@@ -6,13 +6,14 @@ use image::{ImageFormat, Rgb, RgbImage};
 use noto_sans_mono_bitmap::{FontWeight, RasterHeight, get_raster, get_raster_width};
 use std::io::Cursor;
 
-/// Largest width and height of a picture, and the space around it, pixels.
+/// Usual largest width and height of a picture, pixels.
 const CELL_PX: u32 = 720;
+/// Space around a picture, pixels.
 const GAP_PX: u32 = 20;
 /// Height of a line of text, pixels.
 const TEXT: RasterHeight = RasterHeight::Size32;
 const TEXT_PX: u32 = 32;
-/// Most pictures in a row.
+/// Usual most pictures in a row.
 const COLUMNS_MAX: u32 = 3;
 const PAPER: Rgb<u8> = Rgb([255; 3]);
 
@@ -24,13 +25,25 @@ pub(crate) fn side_by_side(
     count: usize,
     cells: impl Iterator<Item = (RgbImage, String)>,
 ) -> Result<Vec<u8>, DrawingError> {
-    let columns = (count as u32).clamp(1, COLUMNS_MAX);
+    in_rows(count, (count as u32).clamp(1, COLUMNS_MAX), CELL_PX, cells)
+}
+
+/// All pictures in rows of `columns`, each at most `cell_px` wide and high, as the bytes of a PNG.
+///
+/// # Errors
+/// [`DrawingError::Unsupported`] if the result cannot be encoded.
+pub(crate) fn in_rows(
+    count: usize,
+    columns: u32,
+    cell_px: u32,
+    cells: impl Iterator<Item = (RgbImage, String)>,
+) -> Result<Vec<u8>, DrawingError> {
     let rows = (count as u32).div_ceil(columns);
-    let [across, down] = [CELL_PX + GAP_PX, CELL_PX + TEXT_PX + GAP_PX];
+    let [across, down] = [cell_px + GAP_PX, cell_px + TEXT_PX + GAP_PX];
     let mut sheet = RgbImage::from_pixel(columns * across + GAP_PX, rows * down + GAP_PX, PAPER);
     for (k, (picture, words)) in (0..).zip(cells.take(count)) {
         let [left, top] = [GAP_PX + k % columns * across, GAP_PX + k / columns * down];
-        let scale = f64::from(CELL_PX) / f64::from(picture.width().max(picture.height()).max(1));
+        let scale = f64::from(cell_px) / f64::from(picture.width().max(picture.height()).max(1));
         let side = |length: u32| ((f64::from(length) * scale) as u32).max(1);
         let small = resize(
             &picture,
@@ -39,7 +52,7 @@ pub(crate) fn side_by_side(
             FilterType::Triangle,
         );
         replace(&mut sheet, &small, i64::from(left), i64::from(top));
-        write(&mut sheet, [left, top + CELL_PX], &words);
+        write(&mut sheet, [left, top + cell_px], cell_px, &words);
     }
     let mut bytes = Cursor::new(Vec::new());
     sheet
@@ -49,9 +62,9 @@ pub(crate) fn side_by_side(
 }
 
 /// A line of text in black; what does not fit the cell is left out.
-fn write(picture: &mut RgbImage, [left, top]: [u32; 2], text: &str) {
+fn write(picture: &mut RgbImage, [left, top]: [u32; 2], cell_px: u32, text: &str) {
     let advance = get_raster_width(FontWeight::Regular, TEXT) as u32;
-    for (k, letter) in (0..CELL_PX / advance).zip(text.chars()) {
+    for (k, letter) in (0..cell_px / advance).zip(text.chars()) {
         let Some(raster) = get_raster(letter, FontWeight::Regular, TEXT) else {
             continue;
         };

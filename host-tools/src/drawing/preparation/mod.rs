@@ -9,7 +9,7 @@
 pub mod choose_order;
 pub mod compose;
 pub mod confined;
-mod grid;
+pub(crate) mod grid;
 pub mod listed;
 pub mod outline;
 pub mod overview;
