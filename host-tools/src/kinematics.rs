@@ -186,8 +186,8 @@ impl Robot {
                 format!("unreachable: {noun} {} does not reach it", joint + 1)
             }
             KinematicsError::Singular { joint, ratio } => format!(
-                "singular: {} of {noun} {} are in line (D/A = {ratio:.1e})",
-                words.links,
+                "singular: {} at {noun} {} (ratio {ratio:.1e})",
+                words.singular,
                 joint + 1
             ),
             KinematicsError::Range {
@@ -257,7 +257,18 @@ mod tests {
         let straight = Robot::parse(&IRB.replace("45.0", "200.0")).unwrap();
         let error = straight.inverse([0.0, 0.0, -1150.0]).unwrap_err();
         assert!(
-            error.message.starts_with("singular: upper arm and forearm of arm 1"),
+            error
+                .message
+                .starts_with("singular: upper arm and forearm in line at arm 1"),
+            "{}",
+            error.message
+        );
+        let links = Robot::new(etherpen::robots::Kind::Scara.geometry()).unwrap();
+        let error = links.inverse([400.0, 0.0, -20.0]).unwrap_err();
+        assert!(
+            error
+                .message
+                .starts_with("singular: inner and outer link in line at joint "),
             "{}",
             error.message
         );

@@ -57,7 +57,7 @@ pub enum Outside {
         /// Highest angle with margin, rad.
         high_rad: f64,
     },
-    /// The links of a joint are too close to being in line.
+    /// A joint is too close to its singularity.
     Stretched {
         /// Joint, from 0.
         joint: u8,

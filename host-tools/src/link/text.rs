@@ -191,7 +191,11 @@ pub fn outside(outside: &Outside) -> String {
             format!("{} does not reach it", joint_name(joint))
         }
         Outside::Kinematics(KinematicsError::Singular { joint, .. }) | Outside::Stretched { joint, .. } => {
-            format!("{} would be stretched out", joint_name(joint))
+            format!(
+                "{} would come too close to a singularity ({})",
+                joint_name(joint),
+                words.singular
+            )
         }
         Outside::Kinematics(KinematicsError::Range {
             joint,
@@ -503,5 +507,14 @@ mod tests {
             high_rad: 1.7,
         };
         assert!(outside(&margin).contains("arm 1 would be at -0.700 rad"));
+        let stretched = Outside::Stretched {
+            joint: 1,
+            ratio: 0.05,
+            limit: 0.1,
+        };
+        assert_eq!(
+            outside(&stretched),
+            "arm 2 would come too close to a singularity (upper arm and forearm in line)"
+        );
     }
 }

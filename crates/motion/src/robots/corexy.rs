@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 /// Nouns for messages.
 pub(super) const WORDS: Words = Words {
     joint: "axis",
-    links: "beam and carriage",
+    singular: "beam and carriage in line",
     last_links: "axes",
 };
 /// The machine has no singularities.

@@ -15,7 +15,7 @@ use serde::{Deserialize, Serialize};
 /// Nouns for messages.
 pub(super) const WORDS: Words = Words {
     joint: "axis",
-    links: "beam and carriage",
+    singular: "beam and carriage in line",
     last_links: "axes",
 };
 /// A gantry has no singularities.

@@ -23,7 +23,7 @@ const TOWERS: usize = MAIN_AXES;
 /// Nouns for messages.
 pub(super) const WORDS: Words = Words {
     joint: "carriage",
-    links: "rod and platform",
+    singular: "rod level with the platform",
     last_links: "rods",
 };
 /// Smallest distance from the singularities in the work area. The ratio H/L is the sine of a rod's angle above the

@@ -85,7 +85,7 @@ pub enum KinematicsError {
         /// Square of [`Conditioning::ratio`] with its sign: negative, and more negative the farther the position.
         ratio_squared: f64,
     },
-    /// The links of a joint are in line: the angle's derivative is undefined.
+    /// A joint is singular, as [`Words::singular`] says: the angle's derivative is undefined.
     Singular {
         /// Joint, from 0.
         joint: u8,
@@ -142,8 +142,8 @@ impl JointRows {
 /// Distance of a position from the singularities.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Conditioning {
-    /// Smallest ratio of the joints and which joint, from 0, has it. A ratio is 0 where the joint's links are in line
-    /// and at most 1; it is negative where the joint does not reach the position.
+    /// Smallest ratio of the joints and which joint, from 0, has it. A ratio is 0 where the joint is singular, grows away
+    /// from there and is at most 1; it is negative where the joint does not reach the position. Ranges do not count.
     pub ratio: (u8, f64),
     /// Absolute determinant of the directions in which the joints hold the tool: 1 where they hold it best, 0 where one
     /// direction is not held at all.
@@ -186,13 +186,13 @@ pub struct ConditioningMin {
     pub determinant: f64,
 }
 
-/// Nouns for messages about a kind of robot.
+/// Words for messages about a kind of robot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Words {
     /// A main axis with its first link.
     pub joint: &'static str,
-    /// The two links of a joint that can be in line.
-    pub links: &'static str,
+    /// What is so of a joint at its singularity, as a phrase without a verb: `inner and outer link in line`.
+    pub singular: &'static str,
     /// The links that meet at the tool.
     pub last_links: &'static str,
 }

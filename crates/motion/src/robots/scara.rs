@@ -23,7 +23,7 @@ const ELBOW: u8 = 1;
 /// Nouns for messages.
 pub(super) const WORDS: Words = Words {
     joint: "joint",
-    links: "inner and outer link",
+    singular: "inner and outer link in line",
     last_links: "links",
 };
 /// Smallest distance from the singularities in the work area. The ratio is the absolute sine of the elbow's angle.

@@ -24,7 +24,7 @@ const ARMS: usize = super::MAIN_AXES;
 /// Nouns for messages.
 pub(super) const WORDS: Words = Words {
     joint: "arm",
-    links: "upper arm and forearm",
+    singular: "upper arm and forearm in line",
     last_links: "forearms",
 };
 /// Smallest distance from the singularities in the work area. The ratio D/A is in effect the sine of the angle between
