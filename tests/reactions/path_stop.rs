@@ -150,7 +150,8 @@ pub(crate) fn machine(index: usize, speed_mm_s: f64) -> (Config, [f64; 2], f64) 
         "corexy" => ([0.0, 0.0], 280.0),
         "scara" => ([270.0, 0.0], 200.0),
         "linear-delta" => ([10.0, 5.0], 190.0),
-        _ => ([30.0, 60.0], 400.0),
+        "irb340" => ([30.0, 60.0], 400.0),
+        name => panic!("{name}: give the new machine a line"),
     };
     (config, centre_mm, length_mm)
 }

@@ -19,17 +19,17 @@ pub struct Arguments {
 
 #[derive(clap::Subcommand, Debug)]
 enum Direction {
-    /// Joint angles for a position of the platform.
+    /// Joint angles for a position of the tool.
     Inverse {
-        /// Position in the robot's frame, mm; the base's plane is z = 0, the platform works at z < 0.
+        /// Position of the tool in the robot's frame, mm. z points up; the IRB 340's base is at z = 0, above its tool.
         #[arg(long, value_name = "X,Y,Z", allow_hyphen_values = true, value_parser = three_numbers)]
         position: Three,
         #[command(flatten)]
         options: Options,
     },
-    /// Position of the platform for joint angles.
+    /// Position of the tool for joint angles.
     Forward {
-        /// Joint angles, rad; positive moves the platform down. Linear axes: mm.
+        /// Angles of the main axes, rad; linear axes: mm. A positive angle of the IRB 340 moves the tool down.
         #[arg(long, value_name = "Q1,Q2,Q3", allow_hyphen_values = true, value_parser = three_numbers)]
         joints: Three,
         #[command(flatten)]
@@ -52,7 +52,8 @@ struct Options {
 
 fn geometry_help() -> String {
     format!(
-        "TOML file with {}. Without it the IRB 340, its range not checked",
+        "TOML file with the dimensions of an IRB 340 or a robot like it: {}. Without it, and without --machine, the IRB \
+         340, its range not checked",
         Measured::KEYS
     )
 }

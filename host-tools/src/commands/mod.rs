@@ -49,7 +49,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-/// What the option `--machine` takes.
+/// What the option `--machine` takes: the names of [`MACHINES`], or a file.
 const MACHINE_NAMES: &str = "irb340|gantry|corexy|scara|linear-delta|FILE";
 
 /// Options of every command that uses a configuration.
@@ -217,6 +217,20 @@ mod tests {
     struct Simulation {
         #[command(flatten)]
         cell: CellArguments,
+    }
+
+    #[test]
+    fn every_bundled_machine_is_named_in_the_help_and_in_the_documentation() {
+        let names = MACHINES.map(|machine| machine.name).join("|");
+        assert_eq!(MACHINE_NAMES, format!("{names}|FILE"));
+        assert!(include_str!("../../../docs/cli.md").contains(MACHINE_NAMES));
+        for kind in etherpen::robots::Kind::ALL {
+            let quoted = format!("\"{}\"", kind.name());
+            assert!(
+                include_str!("../../../samples/etherpen.toml").contains(&quoted),
+                "{quoted}"
+            );
+        }
     }
 
     fn parsed(words: &[&str]) -> CellArguments {

@@ -299,12 +299,8 @@ fn shown(answer: &Answer, axes: &[AxisView]) -> String {
         text.push_str(&format!("{name:<22} {:>12} {limit:>12} {unit}\n", figure(peak)));
     };
     for axis in axes {
-        let number = axis.index + 1;
         let unit = |quantity| axis.motion.unit(quantity);
-        let name = match axis.motion {
-            Motion::Rotary => format!("axis {number}: speed"),
-            Motion::Linear => format!("axis {}: speed", axis.name),
-        };
+        let name = format!("{}: speed", axis.label);
         let of = |values: &[f64; AXES]| axis.of(values);
         let limit = Some(of(&limits.joint_speed_rad_s));
         line(&name, unit(Quantity::Speed), of(&peaks.joint_speed_rad_s), limit);
@@ -413,6 +409,38 @@ fn figure(value: f64) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use etherpen::motion::{Pen, Vertex};
+
+    #[test]
+    fn the_findings_name_each_axis_by_its_label() {
+        for (machine, labels) in [
+            (0, "axis 1, axis 2, axis 3, axis 4"),
+            (1, "x, y, z"),
+            (3, "shoulder, elbow, height, turn"),
+            (4, "axis 1, axis 2, axis 3"),
+        ] {
+            let config = crate::settings::machines::MACHINES[machine].load().unwrap();
+            let [x_mm, y_mm] = config.paper.centre_mm;
+            let vertex = |along_mm: f64| Vertex {
+                position: [x_mm + along_mm, y_mm, config.paper.pen_down_z_mm].into(),
+                pen: Pen::Down,
+                stroke: 0,
+            };
+            let path = [vertex(0.0), vertex(5.0)];
+            let answer = Answer {
+                vertices: path.len(),
+                vertices_merged: 0,
+                findings: analyse(&config, &path, |_| {}).unwrap(),
+                certificate: None,
+            };
+            let text = shown(&answer, &axes(&config));
+            let told: Vec<&str> = text
+                .lines()
+                .filter_map(|line| Some(line.split_once(": speed")?.0))
+                .collect();
+            assert_eq!(told.join(", "), labels);
+        }
+    }
 
     #[test]
     fn findings_are_told_in_the_units_of_the_axes() {

@@ -8,11 +8,17 @@
 use super::checking::{Gravity, check};
 use super::machines::MACHINES;
 use crate::axes::{Motion, motions};
-use etherpen::robots::Kind;
+use etherpen::robots::{AXES, Kind, MAIN_AXES};
 use toml_edit::{Array, DocumentMut, Item, TableLike, Value};
 
-/// Links of a SCARA, its first axes.
-const LINKS: usize = 2;
+/// How many of the first axes the gear is told for: those that turn ahead of linear main axes, or else all.
+fn geared(kind: Kind) -> usize {
+    let turns = |motion: &Motion| *motion == Motion::Rotary;
+    match motions(kind).into_iter().take(MAIN_AXES).take_while(turns).count() {
+        0 | MAIN_AXES => AXES,
+        turning => turning,
+    }
+}
 
 /// Sizes of a machine that can be told.
 pub const SIZES: [Size; 7] = [
@@ -283,7 +289,7 @@ fn sheet(document: &mut DocumentMut, centre_mm: [f64; 2], side_mm: f64) {
     set(document.get_mut("paper"), "size_mm", range([side_mm, side_mm]));
 }
 
-/// Writes pitch and gear, and as many axes as there are drives. The gear of a SCARA is that of its two links.
+/// Writes pitch and gear, and as many axes as there are drives. The gear is that of [`geared`] axes.
 fn set_axes(document: &mut DocumentMut, kind: Kind, wishes: &Wishes) -> Result<(), String> {
     let has_linear = motions(kind).contains(&Motion::Linear);
     if wishes.pitch_mm.is_some() && !has_linear {
@@ -315,8 +321,7 @@ fn set_axes(document: &mut DocumentMut, kind: Kind, wishes: &Wishes) -> Result<(
     let shared = tables.len();
     tables.extend(axes.iter_mut().map(|axis| axis as &mut dyn TableLike));
     for (number, table) in tables.into_iter().enumerate() {
-        let is_link = kind != Kind::Scara || number < shared + LINKS;
-        let gear = wishes.gear.filter(|_| is_link);
+        let gear = wishes.gear.filter(|_| number < shared + geared(kind));
         for (key, value) in [("pitch_mm", wishes.pitch_mm), ("gear", gear)] {
             let place = table.get_mut(key).and_then(Item::as_value_mut);
             if let (Some(place), Some(value)) = (place, value) {
@@ -336,7 +341,7 @@ fn set_axes(document: &mut DocumentMut, kind: Kind, wishes: &Wishes) -> Result<(
     }
     // Where no axis has a gear, the axes share it.
     if let (Some(gear), Some(Item::Table(shared))) = (wishes.gear, document.get_mut("axis_defaults"))
-        && kind != Kind::Scara
+        && geared(kind) == AXES
     {
         shared.entry("gear").or_insert(toml_edit::value(gear));
     }

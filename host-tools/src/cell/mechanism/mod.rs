@@ -1,6 +1,7 @@
 //! The robot's mechanism: position of the tool, end stops of the joints, and their loads.
 //!
-//! [`Mechanism`] is the seam between a kind of robot and the rest of the cell. Every kind is one file here.
+//! [`Mechanism`] is the seam between a kind of robot and the rest of the cell. [`Linked`] describes a kind by its bodies and the
+//! controller's forward kinematics; a kind that this cannot describe is a file of its own here.
 
 mod delta;
 mod linked;
