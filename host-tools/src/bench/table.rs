@@ -2,8 +2,8 @@
 
 use super::{BenchReport, BenchRow};
 
-/// One line for each case: the project's figure, its target, the peers' figures, and the ratio of the project's to the
-/// smallest of them.
+/// One line for each case: the project's figure, its target, the peers' figures, and the ratio to the best of them, above
+/// 1 where the project is better.
 pub fn table(report: &BenchReport) -> String {
     let mut text = format!(
         "{:<52} {:>9} {:<13} {:>16} {:>7}  peers\n",
@@ -18,8 +18,12 @@ pub fn table(report: &BenchReport) -> String {
         let theirs: Vec<String> = peers()
             .map(|peer| format!("{} {}", peer.subject, figure(peer.value)))
             .collect();
-        let best = peers().map(|peer| peer.value).reduce(f64::min);
-        let ratio = best.map_or_else(String::new, |best| format!("{:.2}", best / row.value));
+        let values = peers().map(|peer| peer.value);
+        let ratio = match row.is_more_better() {
+            true => values.reduce(f64::max).map(|best| row.value / best),
+            false => values.reduce(f64::min).map(|best| best / row.value),
+        };
+        let ratio = ratio.map_or_else(String::new, |ratio| format!("{ratio:.2}"));
         let line = format!(
             "{:<52} {:>9} {:<13} {:>16} {ratio:>7}  {}",
             row.case,
@@ -90,11 +94,12 @@ mod tests {
             row("edges/cat", "hatched", 0.75),
         ];
         let shown = table(&BenchReport { bench: "drawing", rows });
-        let beside: Vec<bool> = shown
-            .lines()
-            .skip(1)
-            .map(|line| line.ends_with("hatched 0.7500"))
-            .collect();
-        assert_eq!(beside, [true, true, false], "{shown}");
+        let beside = |ratio: &str| format!("{ratio}  hatched 0.7500");
+        let lines: Vec<&str> = shown.lines().skip(1).collect();
+        assert!(
+            lines[0].ends_with(&beside("0.67")) && lines[1].ends_with(&beside("0.33")),
+            "{shown}"
+        );
+        assert!(!lines[2].contains("hatched"), "{shown}");
     }
 }
