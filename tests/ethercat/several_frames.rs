@@ -343,11 +343,7 @@ fn the_clock_of_an_extra_slave_is_no_error_for_ever() {
 #[test]
 fn the_clocks_agree_whatever_is_plugged_into_a_free_port_of_a_junction() {
     // Frames pass port 3 of the first slave before its port 1.
-    let behind_the_first = |slave, port| Branch {
-        slave,
-        behind: 1,
-        port,
-    };
+    let behind_the_first = |slave, port| Branch { slave, behind: 1, port };
     let options = SegmentOptions {
         slaves: vec![SlaveKind::Sii(terminal_of_bytes(1, 1, true).into()); 3],
         branches: vec![behind_the_first(2, 3), behind_the_first(3, 1)],

@@ -75,6 +75,7 @@ async fn latch<const SLAVES: usize, const MESSAGE: usize>(
 ) -> Result<(), BusError> {
     // A reply comes within its cycle, so times that are further apart are those of different frames.
     let apart_max_ns = clocks.period_ns;
+    let there = discovery::count(port).await?;
     let latched = port.broadcast_write(register::DC_RECEIVE_TIME, &[0; 4]).await?;
     let (mut expected, mut is_whole, mut idle) = (0, true, SlaveSet::NONE);
     // Nobody knows where in the chain an extra slave is.
@@ -102,6 +103,8 @@ async fn latch<const SLAVES: usize, const MESSAGE: usize>(
             }
         }
     }
+    // The ports were open as they are now, unless the chain has become longer or shorter meanwhile.
+    is_whole &= discovery::count(port).await? == there;
     match is_whole && latched >= expected {
         true => {
             let slaves = clocks.slaves.iter_mut().enumerate();

@@ -456,8 +456,8 @@ fn the_set_up_comes_in_order_and_in_a_bounded_number_of_frames() {
     let mut chain = Chain::new([(WIDE, 5, 0), (None, 0, 0), (None, 0, 0), (NARROW, 9, 0)]);
     chain.set_up();
     let settling = " Frmw:0910".repeat(usize::from(SETTLING_FRAMES));
-    let expected = "Fprd:0008 Fprd:0910 Fprd:0008 Fprd:0008 Fprd:0008 Fprd:0910 Bwr:0900 Fprd:0110 Fprd:0900 Fprd:0110 Fprd:0110 Fprd:0110 \
-                    Fprd:0900 Fpwr:0920 Fpwr:0928 Fpwr:0930 Fpwr:0920 Fpwr:0928 Fpwr:0930";
+    let expected = "Fprd:0008 Fprd:0910 Fprd:0008 Fprd:0008 Fprd:0008 Fprd:0910 Brd:0130 Bwr:0900 Fprd:0110 Fprd:0900 Fprd:0110 Fprd:0110 Fprd:0110 \
+                    Fprd:0900 Brd:0130 Fpwr:0920 Fpwr:0928 Fpwr:0930 Fpwr:0920 Fpwr:0928 Fpwr:0930";
     assert_eq!(chain.log, std::format!("{expected}{settling}"));
     assert_eq!(
         read_u16(&chain, 3, register::DC_SPEED_START),
