@@ -418,11 +418,25 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 done => return done,
             }
         }
+        self.doubt_silent(number).await;
         let error = BusError::SlaveCount {
             expected: self.bus.slaves.len() as u16,
             actual: self.inbox.slaves(),
         };
         Ok(Err(Failure::of(number as u16, Step::Watch)(error)))
+    }
+
+    /// Slaves in OP whose data do not come have kept this one from being repaired: others may have their addresses. The next
+    /// repair looks who they are.
+    async fn doubt_silent(&mut self, worked_on: usize) {
+        let answered = self.inbox.seen.map_or(SlaveSet::NONE, |seen| seen.answered);
+        let silent = self.bus.expectation(Some(worked_on)).answering.without(answered);
+        for (number, slave) in self.bus.slaves.iter_mut().enumerate() {
+            if silent.contains(number) {
+                slave.condition = Condition::Returned;
+            }
+        }
+        self.bus.send_plan().await;
     }
 
     /// Takes the slaves out of OP: safe outputs are sent first, then the states follow.
