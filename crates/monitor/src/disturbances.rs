@@ -136,11 +136,13 @@ impl Disturbances {
                 }));
             }
             Input::Commanded(Command::Search) => {
+                let begins = self.search == Search::None;
                 self.search = match self.search {
                     Search::None => Search::Ordered(motion.now_ms),
                     search => search,
                 };
-                self.is_search_false = self.feedback.contains(&true);
+                // One that goes on is refused when it is ordered again, and stays what it was.
+                self.is_search_false = self.feedback.contains(&true) || !begins && self.is_search_false;
             }
             Input::Restarted => {
                 (self.misreferenced, self.before_homing) = (false, None);
@@ -328,6 +330,8 @@ mod tests {
             if mounted_in_search {
                 disturbances.take(&cell, &motion, &Input::Mounted { axis: 1 });
             }
+            disturbances.take(&cell, &motion, &search);
+            disturbances.hear(&Report::Refused(Command::Search));
             disturbances.step(100 + 2 * SETTLE_MS);
             disturbances.hear(&Report::Homed(true));
             assert_eq!(disturbances.none(), !mounted_in_search);

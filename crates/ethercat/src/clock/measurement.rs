@@ -103,7 +103,8 @@ async fn latch<const SLAVES: usize, const MESSAGE: usize>(
             }
         }
     }
-    // The ports were open as they are now, unless the chain has become longer or shorter meanwhile.
+    // A port that was open as the frame passed may be closed now, and behind it are fewer slaves. A contact that opens and closes
+    // meanwhile is not seen.
     is_whole &= discovery::count(port).await? == there;
     match is_whole && latched >= expected {
         true => {

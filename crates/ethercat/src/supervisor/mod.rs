@@ -140,6 +140,8 @@ pub struct Supervisor<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     phase: Phase,
     /// Number of slaves at the last rescan, or at the failed bring-up.
     slaves_sorted: u16,
+    /// Number of slaves when the cables were last measured because of it.
+    slaves_measured: u16,
     /// When the pause before the next bring-up began: when that number changed, or when a bring-up failed that may succeed
     /// without a change; `None` if none will follow.
     changed_ms: Option<u32>,
@@ -188,6 +190,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             strangers: 0,
             phase: Phase::Stopped,
             slaves_sorted: 0,
+            slaves_measured: 0,
             changed_ms: None,
             waits_long: false,
             leaves_later: false,
@@ -277,12 +280,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             (self.slaves_sorted, self.rescans_failed) = (self.bus.present(), 0);
         }
         let there = self.inbox.slaves();
-        let is_changed = there != self.slaves_sorted && there >= self.bus.present();
-        if is_changed {
-            // Strangers, too, are in the way of the frames: at a junction before slaves whose neighbours stay.
-            self.bus.clocks.chain_changed();
-        }
-        if is_changed && there > self.bus.present() {
+        if there > self.bus.present() && there != self.slaves_sorted {
             let Self { bus, inbox, .. } = self;
             let expected = Expectation {
                 slaves: Some(there),
@@ -320,9 +318,6 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         } else if there <= self.bus.present() {
             self.slaves_sorted = there;
         }
-        if is_changed {
-            self.bus.tell_delays().await;
-        }
         self.inspected_ms = self.bus.port.now_ms();
     }
 
@@ -352,12 +347,31 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         self.bus.inspect(first..last).await;
         self.bus.check_cables().await;
         self.bus.follow_clock().await;
-        self.bus.tell_delays().await;
+        self.tell_delays().await;
         self.bus.look_at_processor().await;
         let expected = self.bus.expectation(None);
         let Self { bus, inbox, .. } = self;
         let work = pin!(bus.check_mailbox());
         // After an interruption the mailbox is read again in the next round.
+        let _ = inbox.guard(expected, Work::Background, work).await;
+    }
+
+    /// Measures the cables again if the chain has become longer or shorter, and tells the clocks their delays. Strangers, too, are
+    /// in the way of the frames: at a junction before slaves whose neighbours stay.
+    async fn tell_delays(&mut self) {
+        let there = self.inbox.slaves();
+        if there != self.slaves_measured && there >= self.bus.present() {
+            self.slaves_measured = there;
+            self.bus.clocks.chain_changed();
+        }
+        let Self { bus, inbox, .. } = self;
+        let expected = Expectation {
+            slaves: Some(there),
+            allowed: inbox::STATUS_MASK,
+            ..Expectation::default()
+        };
+        let work = pin!(bus.tell_delays());
+        // What is not told yet is told in the next round.
         let _ = inbox.guard(expected, Work::Background, work).await;
     }
 
@@ -398,10 +412,12 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
 
     /// Repairs a slave; restarts when another slave needs attention.
     async fn repair_guarded(&mut self, number: usize) -> Result<Result<(), Failure>, Interruption> {
+        let mut silent = SlaveSet::ALL;
         for _ in 0..REPAIR_TRIES_MAX {
             let Self { bus, inbox, .. } = self;
             bus.work_on(Some(number)).await;
             let mut expected = bus.expectation(Some(number));
+            let exchanging = expected.answering;
             let there = inbox.slaves();
             if there > bus.present() {
                 // Slaves that wait for their own repair may be in any state.
@@ -412,13 +428,15 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 let work = pin!(bus.repair(number));
                 inbox.guard(expected, Work::Exclusive, work).await
             };
+            let answered = inbox.seen.map_or(SlaveSet::NONE, |seen| seen.answered);
+            silent = silent.without(SlaveSet::ALL.without(exchanging.without(answered)));
             bus.work_on(None).await;
             match result {
                 Err(Interruption::Bus) => self.inspect_all().await,
                 done => return done,
             }
         }
-        self.doubt_silent(number).await;
+        self.doubt(silent).await;
         let error = BusError::SlaveCount {
             expected: self.bus.slaves.len() as u16,
             actual: self.inbox.slaves(),
@@ -426,14 +444,16 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         Ok(Err(Failure::of(number as u16, Step::Watch)(error)))
     }
 
-    /// Slaves in OP whose data do not come have kept this one from being repaired: others may have their addresses. The next
-    /// repair looks who they are.
-    async fn doubt_silent(&mut self, worked_on: usize) {
-        let answered = self.inbox.seen.map_or(SlaveSet::NONE, |seen| seen.answered);
-        let silent = self.bus.expectation(Some(worked_on)).answering.without(answered);
-        for (number, slave) in self.bus.slaves.iter_mut().enumerate() {
-            if silent.contains(number) {
+    /// Notes that other slaves may have the addresses of these: they are in OP, but their data came at no try of a repair, which
+    /// that has interrupted each time. The next repair looks who they are.
+    async fn doubt(&mut self, silent: SlaveSet) {
+        for number in 0..self.bus.slaves.len() {
+            if let Some(slave) = self.bus.slaves.get_mut(number)
+                && silent.contains(number)
+            {
                 slave.condition = Condition::Returned;
+                let position = slave.position as u8;
+                self.bus.emit(BusEvent::Returned { position }).await;
             }
         }
         self.bus.send_plan().await;

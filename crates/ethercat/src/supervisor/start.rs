@@ -116,6 +116,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<'_, 
             Ok(Ok(())) => {
                 (self.phase, self.bus.is_running) = (Phase::Running, true);
                 self.slaves_sorted = self.bus.slaves.len() as u16;
+                self.slaves_measured = self.slaves_sorted;
                 self.bus.emit(BusEvent::Operational).await;
                 return;
             }
