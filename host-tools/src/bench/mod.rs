@@ -1,7 +1,8 @@
 //! Benchmarks: the figures that the project claims, measured together with those of its peers.
 //!
-//! Instructions, bytes, frames and virtual time are counted: no figure with a target depends on the speed or load of
-//! the computer.
+//! Instructions, bytes, frames and virtual time are counted and do not depend on the computer. Figures in real or
+//! processor time do: those of drawings (a program's own time, or its share of a peer's measured in the same run) and of
+//! the console have targets too.
 //!
 //! Invariant: every row is measured in this run or left out; no value is stored.
 

@@ -3,7 +3,7 @@
 use super::{BenchReport, BenchRow};
 
 /// One line for each case: the project's figure, its target, the peers' figures, and the ratio to the best of them, above
-/// 1 where the project is better.
+/// 1 where the project is better; none if one of the two is not above 0.
 pub fn table(report: &BenchReport) -> String {
     let mut text = format!(
         "{:<52} {:>9} {:<13} {:>16} {:>7}  peers\n",
@@ -20,9 +20,11 @@ pub fn table(report: &BenchReport) -> String {
             .collect();
         let values = peers().map(|peer| peer.value);
         let ratio = match row.is_more_better() {
-            true => values.reduce(f64::max).map(|best| row.value / best),
-            false => values.reduce(f64::min).map(|best| best / row.value),
+            true => values.reduce(f64::max).map(|best| (row.value, best)),
+            false => values.reduce(f64::min).map(|best| (best, row.value)),
         };
+        let ratio = ratio.filter(|(above, below)| *above > 0.0 && *below > 0.0);
+        let ratio = ratio.map(|(above, below)| above / below);
         let ratio = ratio.map_or_else(String::new, |ratio| format!("{ratio:.2}"));
         let line = format!(
             "{:<52} {:>9} {:<13} {:>16} {ratio:>7}  {}",
@@ -101,5 +103,31 @@ mod tests {
             "{shown}"
         );
         assert!(!lines[2].contains("hatched"), "{shown}");
+    }
+
+    #[test]
+    fn figures_that_are_zero_or_negative_have_no_ratio() {
+        let ratio = |unit, own: f64, peers: f64| {
+            let row = |subject, value| BenchRow {
+                case: "margin/cat".to_owned(),
+                subject,
+                value,
+                unit,
+                target: None,
+            };
+            let rows = vec![row("etherpen", own), row("hatched", peers)];
+            let shown = table(&BenchReport { bench: "drawing", rows });
+            let line = shown.lines().nth(1).expect("a line");
+            let (figures, _) = line.split_once("  hatched").expect("a peer");
+            let words: Vec<&str> = figures.split_whitespace().skip(3).collect();
+            words.join(" ")
+        };
+        for unit in ["margin", "s"] {
+            for (own, peers) in [(0.5, 0.0), (0.5, -0.25), (-0.5, -0.25), (-0.5, 0.25), (0.0, 0.0)] {
+                assert_eq!(ratio(unit, own, peers), "", "{own} and {peers} {unit}");
+            }
+        }
+        assert_eq!(ratio("margin", 0.5, 0.25), "2.00");
+        assert_eq!(ratio("s", 0.5, 0.25), "0.50");
     }
 }

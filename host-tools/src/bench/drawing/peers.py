@@ -5,23 +5,26 @@ In: `peer`, `picture` (a file), `size_mm` of the drawing, `pen_mm`, and `spacing
 Out: `strokes` in mm from the picture's upper left corner and `cpu_s`, or `error`.
 """
 
-import contextlib, json, os, sys, time
+import contextlib, io, json, os, sys, time
 
 ANSWERS = os.fdopen(os.dup(1), "w")
+with contextlib.redirect_stdout(sys.stderr):
+    import cv2, hatched, plotline
 
 
 def hatched_lines(order):
-    import cv2, hatched
-
     pixels = cv2.imread(order["picture"]).shape[1]
     mm = order["size_mm"][0] / pixels
-    lines = hatched.hatch(order["picture"], hatch_pitch=order["spacing"] / mm, show_plot=False, save_svg=False)
+    # It prints what went wrong and returns no lines.
+    with contextlib.redirect_stdout(io.StringIO()) as said:
+        lines = hatched.hatch(order["picture"], hatch_pitch=order["spacing"] / mm, show_plot=False, save_svg=False)
+    errors = [line for line in said.getvalue().splitlines() if line.startswith("Error:")]
+    if errors:
+        raise RuntimeError("; ".join(errors))
     return [[[x * mm, y * mm] for x, y in line.coords] for line in lines.geoms]
 
 
 def plotline_lines(order, style, stage, settings):
-    import cv2, plotline
-
     session = plotline.Session()
     session.set_image(cv2.cvtColor(cv2.imread(order["picture"]), cv2.COLOR_BGR2RGB))
     session.set_canvas(plotline.Canvas(*order["size_mm"]))

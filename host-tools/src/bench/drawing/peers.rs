@@ -20,6 +20,8 @@ const TIME_NEAR: f64 = 0.03;
 pub(super) const TIME_EQUAL: f64 = 0.1;
 /// Most drawings of a search.
 const TRIES_MAX: usize = 10;
+/// Where a program fails it is tried again with the spacing times each of these.
+const NUDGES: [f64; 4] = [1.01, 0.99, 1.02, 0.98];
 
 /// Another program.
 pub(super) struct Peer {
@@ -57,6 +59,9 @@ pub(super) struct Order<'a> {
     /// Line width of the pen, mm.
     pub(super) pen_mm: f64,
 }
+
+/// A drawing, or why the program made none.
+pub(super) type Attempt<T> = Result<T, String>;
 
 /// A peer's drawing.
 #[derive(Clone, Debug)]
@@ -104,10 +109,10 @@ impl Artists {
         Ok(Self { child, orders, answers })
     }
 
-    /// The peer's drawing with the time nearest to `aim_s`; `None` if it draws nothing.
+    /// The peer's drawing with the time nearest to `aim_s`, or why there is none.
     ///
     /// # Errors
-    /// The program failed.
+    /// The process of the peers ended.
     pub(super) fn draw(
         &mut self,
         peer: &Peer,
@@ -115,11 +120,13 @@ impl Artists {
         aim_s: f64,
         config: &Config,
         options: &OrderOptions,
-    ) -> Result<Option<PeerDrawing>, BenchError> {
+    ) -> Result<Attempt<PeerDrawing>, BenchError> {
         let matched = matched(aim_s, peer.spacing_mm, |spacing_mm| {
             let drawn = self.once(peer, order, spacing_mm, config, options)?;
-            let planned_s = drawn.planned_s;
-            Ok((drawn, planned_s))
+            Ok(drawn.map(|drawn| {
+                let planned_s = drawn.planned_s;
+                (drawn, planned_s)
+            }))
         })?;
         Ok(matched.map(|(drawn, _)| drawn))
     }
@@ -131,7 +138,7 @@ impl Artists {
         spacing_mm: f64,
         config: &Config,
         options: &OrderOptions,
-    ) -> Result<PeerDrawing, BenchError> {
+    ) -> Result<Attempt<PeerDrawing>, BenchError> {
         let [left, top, width, height] = order.place_mm;
         let asked = serde_json::json!({
             "peer": peer.name, "picture": order.picture, "size_mm": [width, height], "pen_mm": order.pen_mm,
@@ -143,7 +150,7 @@ impl Artists {
         let answer: Answer = serde_json::from_str(&said)
             .map_err(|cause| failed(peer.name, format_args!("{cause}; the process ended")))?;
         if let Some(error) = answer.error {
-            return Err(failed(peer.name, error));
+            return Ok(Err(error));
         }
         let inside = |[x, y]: [f64; 2]| [left + x.clamp(0.0, width), top + y.clamp(0.0, height)];
         let strokes = answer.strokes.into_iter().filter(|points| points.len() > 1);
@@ -155,18 +162,18 @@ impl Artists {
             strokes: strokes.collect(),
         };
         if given.strokes.is_empty() {
-            return Ok(PeerDrawing {
+            return Ok(Ok(PeerDrawing {
                 drawing: given,
                 planned_s: 0.0,
                 cpu_s: answer.cpu_s,
-            });
+            }));
         }
         let chosen = choose_order(std::slice::from_ref(&given), &given, options, config);
-        Ok(PeerDrawing {
+        Ok(Ok(PeerDrawing {
             drawing: chosen.layers.and_then(|mut layers| layers.pop()).unwrap_or(given),
             planned_s: chosen.chosen_s.unwrap_or(f64::INFINITY),
             cpu_s: answer.cpu_s,
-        })
+        }))
     }
 }
 
@@ -179,17 +186,31 @@ impl Drop for Artists {
 }
 
 /// The drawing whose time is nearest to `aim_s`, and its time: a search over the spacing of lines, which more of takes
-/// less time. `None` if nothing was drawn.
-pub(super) fn matched<T>(
+/// less time. A failure says nothing of the time: the search goes on with a spacing beside it, and ends where all of
+/// them fail.
+fn matched<T>(
     aim_s: f64,
     [mut low, mut high]: [f64; 2],
-    mut draw: impl FnMut(f64) -> Result<(T, f64), BenchError>,
-) -> Result<Option<(T, f64)>, BenchError> {
+    mut draw: impl FnMut(f64) -> Result<Attempt<(T, f64)>, BenchError>,
+) -> Result<Attempt<(T, f64)>, BenchError> {
     let off = |seconds: f64| (seconds / aim_s).ln().abs();
     let mut best: Option<(T, f64)> = None;
+    let mut cause = "it draws nothing".to_owned();
     for _ in 0..TRIES_MAX {
         let spacing = (low * high).sqrt();
-        let (drawn, seconds) = draw(spacing)?;
+        let mut attempt = draw(spacing)?;
+        for nudge in NUDGES {
+            if attempt.is_err() {
+                attempt = draw(spacing * nudge)?;
+            }
+        }
+        let (drawn, seconds) = match attempt {
+            Ok(drawn) => drawn,
+            Err(error) => {
+                cause = error;
+                break;
+            }
+        };
         if best.as_ref().is_none_or(|(_, known)| off(seconds) < off(*known)) {
             best = Some((drawn, seconds));
         }
@@ -202,7 +223,8 @@ pub(super) fn matched<T>(
             high = spacing;
         }
     }
-    Ok(best.filter(|(_, seconds)| *seconds > 0.0 && seconds.is_finite()))
+    let best = best.filter(|(_, seconds)| *seconds > 0.0 && seconds.is_finite());
+    Ok(best.ok_or(cause))
 }
 
 #[cfg(test)]
@@ -213,7 +235,7 @@ mod tests {
     fn the_spacing_is_found_at_which_a_drawing_takes_the_wanted_time() {
         for (aim_s, power) in [(30.0, 1.0), (110.0, 1.0), (110.0, 2.0), (400.0, 1.3)] {
             let found = matched(aim_s, [0.3, 8.0], |spacing: f64| {
-                Ok((spacing, 200.0 * spacing.powf(-power)))
+                Ok(Ok((spacing, 200.0 * spacing.powf(-power))))
             });
             let (spacing, seconds) = found.expect("drawn").expect("a drawing");
             assert!(
@@ -225,17 +247,47 @@ mod tests {
 
     #[test]
     fn a_program_with_few_densities_gets_the_nearest_and_one_that_draws_nothing_none() {
-        let steps = |spacing: f64| Ok(((), 40.0 * (12.0 / spacing).round().max(1.0)));
+        let steps = |spacing: f64| Ok(Ok(((), 40.0 * (12.0 / spacing).round().max(1.0))));
         let (_, seconds) = matched(110.0, [0.19, 12.0], steps).expect("drawn").expect("a drawing");
         assert_eq!(seconds, 120.0);
-        let short = matched(110.0, [0.3, 8.0], |spacing| Ok((spacing, 5.0 / spacing)));
-        assert!(short.expect("drawn").is_some_and(|(spacing, _)| spacing < 0.31));
+        let short = matched(110.0, [0.3, 8.0], |spacing| Ok(Ok((spacing, 5.0 / spacing))));
+        assert!(short.expect("drawn").is_ok_and(|(spacing, _)| spacing < 0.31));
         for nothing in [0.0, f64::INFINITY] {
-            assert!(
-                matched(110.0, [0.3, 8.0], |_| Ok(((), nothing)))
-                    .expect("drawn")
-                    .is_none()
-            );
+            let found = matched(110.0, [0.3, 8.0], |_| Ok(Ok(((), nothing))));
+            assert_eq!(found.expect("drawn"), Err("it draws nothing".to_owned()));
         }
+    }
+
+    #[test]
+    fn a_program_that_fails_at_some_spacings_gets_the_wanted_time_beside_them() {
+        // Fails in bands of 1 per mille around every spacing that a search without failures tries.
+        let mut tried = Vec::new();
+        let seconds = |spacing: f64| 200.0 / spacing;
+        matched(110.0, [0.3, 8.0], |spacing| {
+            tried.push(spacing);
+            Ok(Ok(((), seconds(spacing))))
+        })
+        .expect("drawn")
+        .expect("a drawing");
+        let found = matched(110.0, [0.3, 8.0], |spacing| {
+            let is_failing = tried.iter().any(|known| (spacing / known - 1.0).abs() < 0.001);
+            Ok(match is_failing {
+                true => Err("no lines".to_owned()),
+                false => Ok(((), seconds(spacing))),
+            })
+        });
+        let (_, seconds) = found.expect("drawn").expect("a drawing");
+        assert!((seconds / 110.0 - 1.0).abs() <= 2.0 * TIME_NEAR, "{seconds}");
+    }
+
+    #[test]
+    fn a_program_that_always_fails_says_why_and_is_not_asked_for_ever() {
+        let mut tries = 0;
+        let found: Attempt<((), f64)> = matched(110.0, [0.3, 8.0], |_| {
+            tries += 1;
+            Ok(Err("no mask".to_owned()))
+        })
+        .expect("asked");
+        assert_eq!((found, tries), (Err("no mask".to_owned()), 1 + NUDGES.len()));
     }
 }

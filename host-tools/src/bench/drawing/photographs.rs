@@ -17,6 +17,9 @@ const SCIKIT_LEARN: &str = "scikit-learn==1.7.2";
 const MAHOTAS: &str = "mahotas==1.4.18";
 const FACE_RECOGNITION: &str = "source:face_recognition==1.3.0";
 
+/// What to do without the photographs.
+const OTHERWISE: &str = ", or leave the portraits out: --quick";
+
 /// Where a photograph is.
 enum Origin {
     /// Among the samples.
@@ -116,10 +119,7 @@ pub(super) fn pictures(python: &Path, folder: &Path) -> Result<Vec<RgbImage>, Be
     let output = output.map_err(|cause| failed("photographs", cause))?;
     if !output.status.success() {
         let said = String::from_utf8_lossy(&output.stderr);
-        let text = format!(
-            "{}\nTry again with a network, or leave the portraits out: --quick",
-            said.trim()
-        );
+        let text = format!("{}\nTry again with a network{OTHERWISE}", said.trim());
         return Err(failed("photographs", text));
     }
     let picture = |photograph: &Photograph| {
@@ -140,8 +140,13 @@ pub(super) fn pictures(python: &Path, folder: &Path) -> Result<Vec<RgbImage>, Be
 fn crate_folder(name: &str) -> Result<PathBuf, BenchError> {
     let mut command = setup::cargo();
     command.args(["metadata", "--format-version", "1", "--locked"]);
-    let output = command.stdin(Stdio::null()).stderr(Stdio::null()).output();
+    let output = command.stdin(Stdio::null()).output();
     let output = output.map_err(|cause| failed("cargo metadata", cause))?;
+    if !output.status.success() {
+        let said = String::from_utf8_lossy(&output.stderr);
+        let text = format!("{}\nMend this{OTHERWISE}", said.trim());
+        return Err(failed("cargo metadata", text));
+    }
     let known: Value = serde_json::from_slice(&output.stdout).map_err(|cause| failed("cargo metadata", cause))?;
     let packages = known["packages"].as_array().into_iter().flatten();
     let manifest = packages

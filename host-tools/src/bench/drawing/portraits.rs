@@ -6,7 +6,7 @@
 //! (`--contact-sheet`).
 
 use super::judge::{self, Judged, Verdict, mean_margin};
-use super::peers::{Artists, Order, PEERS, TIME_EQUAL};
+use super::peers::{Artists, Attempt, Order, PEERS, TIME_EQUAL};
 use super::photographs::{self, PHOTOGRAPHS, Photograph};
 use super::{PEN_MM, failed};
 use crate::bench::{BenchError, BenchRow, Selection};
@@ -48,10 +48,12 @@ const FIGURES: [(&str, &str); 9] = [
     ("face_found_4px", "share"),
     (MARGIN, "margin"),
     ("strokes", "strokes"),
-    ("drawing_s", "s"),
-    ("cpu", "s/megapixel"),
+    (DRAWING_S, "s"),
+    (CPU, "s/megapixel"),
 ];
 const MARGIN: &str = "identity_margin";
+const DRAWING_S: &str = "drawing_s";
+const CPU: &str = "cpu";
 
 #[derive(Parser)]
 #[command(no_binary_name = true)]
@@ -115,6 +117,8 @@ struct Portrait {
     strokes: usize,
     planned_s: f64,
     cpu_s: f64,
+    /// Size of the picture that the program got.
+    megapixels: f64,
     /// The drawing's place on the sheet.
     rendered: RgbImage,
 }
@@ -161,18 +165,24 @@ pub(super) fn run(
         for artist in wanted(part.photograph) {
             progress(&format!("portrait of {name}: {}", artist.name));
             let portrait = match artist.is_peer {
-                false => Some(own(artist.name, part, &config)?),
+                false => Ok(own(artist.name, part, &config)?),
                 true => peers(&mut artists, artist.name, part, &file("given"), &config)?,
             };
             match portrait {
-                Some(portrait) => portraits.push((artist, portrait)),
-                None => progress(&format!("{} draws nothing of {name}", artist.name)),
+                Ok(portrait) => portraits.push((artist, portrait)),
+                Err(cause) => progress(&format!(
+                    "{} fails on {name}, which is left out of its means: {cause}",
+                    artist.name
+                )),
             }
         }
         for (artist, portrait) in &portraits {
             let time_s = portrait.planned_s;
-            if (time_s / TIME_S - 1.0).abs() > TIME_EQUAL {
-                progress(&format!("{name} by {} takes {time_s:.0} s, not {TIME_S}", artist.name));
+            if !is_equal_time(time_s) {
+                progress(&format!(
+                    "{name} by {} takes {time_s:.0} s, not {TIME_S}, and is left out of its means",
+                    artist.name
+                ));
             }
         }
         orders.push(order(part, &portraits, &file)?);
@@ -188,6 +198,15 @@ pub(super) fn run(
         contact_sheet(sheet, &parts, &drawn)?;
     }
     Ok(())
+}
+
+/// Whether a drawing takes the time of all drawings.
+fn is_equal_time(planned_s: f64) -> bool {
+    (planned_s / TIME_S - 1.0).abs() <= TIME_EQUAL
+}
+
+fn megapixels(picture: &RgbImage) -> f64 {
+    f64::from(picture.width()) * f64::from(picture.height()) / 1e6
 }
 
 /// The default part of each photograph and its place on the sheet.
@@ -237,6 +256,7 @@ fn own(style: &str, part: &Part, config: &Config) -> Result<Portrait, BenchError
         strokes: made.drawing.strokes.len(),
         planned_s: made.planned_s.unwrap_or(f64::NAN),
         cpu_s,
+        megapixels: megapixels(&part.whole),
         rendered: rendered(&made.drawing, part.place_mm),
     })
 }
@@ -247,22 +267,20 @@ fn processor_s() -> f64 {
     time.tv_sec as f64 + time.tv_nsec as f64 * 1e-9
 }
 
-/// A drawing of another program; `given` takes the picture that it gets.
+/// A drawing of another program, or why there is none; `given` takes the picture that it gets.
 fn peers(
     artists: &mut Artists,
     name: &str,
     part: &Part,
     given: &Path,
     config: &Config,
-) -> Result<Option<Portrait>, BenchError> {
+) -> Result<Attempt<Portrait>, BenchError> {
     let Some(peer) = PEERS.iter().find(|peer| peer.name == name) else {
-        return Ok(None);
+        return Ok(Err("it is unknown".to_owned()));
     };
     let [_, _, width, height] = part.place_mm.map(|mm| (mm * GIVEN_PX_PER_MM).round() as u32);
-    save(
-        &imageops::resize(&part.picture, width, height, FilterType::Triangle),
-        given,
-    )?;
+    let picture = imageops::resize(&part.picture, width, height, FilterType::Triangle);
+    save(&picture, given)?;
     let order = Order {
         picture: given,
         place_mm: part.place_mm,
@@ -279,6 +297,7 @@ fn peers(
         strokes: drawn.drawing.strokes.len(),
         planned_s: drawn.planned_s,
         cpu_s: drawn.cpu_s,
+        megapixels: megapixels(&picture),
         rendered: rendered(&drawn.drawing, part.place_mm),
     }))
 }
@@ -328,7 +347,6 @@ fn person(name: &str) -> &'static str {
 /// Appends the figures of a photograph's drawings.
 fn figures(part: &Part, portraits: &Portraits, verdict: &Verdict, rows: &mut Vec<BenchRow>) {
     let name = part.photograph.name;
-    let megapixels = f64::from(part.whole.width()) * f64::from(part.whole.height()) / 1e6;
     for (artist, portrait) in portraits {
         let judged = verdict.drawings.get(artist.name);
         let has_face = verdict.blank.is_some();
@@ -346,15 +364,11 @@ fn figures(part: &Part, portraits: &Portraits, verdict: &Verdict, rows: &mut Vec
                 "face_found_4px" => found(1),
                 MARGIN => judged.and_then(|judged| mean_margin(name, person, &judged.distances)),
                 "strokes" => Some(portrait.strokes as f64),
-                "drawing_s" => Some(portrait.planned_s),
-                // The work of a smaller photograph is that of the sheet.
-                _ => Some(portrait.cpu_s / megapixels.max(1.0)),
+                DRAWING_S => Some(portrait.planned_s),
+                // The work of a smaller photograph is that of the sheet; all programs are counted alike.
+                _ => Some(portrait.cpu_s / portrait.megapixels.max(1.0)),
             };
-            let target = match figure {
-                "drawing_s" if !artist.is_peer => Some(TIME_S),
-                "cpu" if is_limited => Some(CPU_PER_MEGAPIXEL_MAX_S),
-                _ => None,
-            };
+            let target = (figure == CPU && is_limited).then_some(CPU_PER_MEGAPIXEL_MAX_S);
             rows.extend(value.map(|value| BenchRow {
                 case: artist.case(figure, name),
                 subject: artist.subject(),
@@ -378,8 +392,8 @@ fn figures(part: &Part, portraits: &Portraits, verdict: &Verdict, rows: &mut Vec
     );
 }
 
-/// Appends the means over all photographs. The mean margin has to be above those of the other programs and of a blank
-/// sheet.
+/// Appends the means over the photographs of which a program has a drawing that takes the time of all. The mean margin
+/// has to reach those of the other programs and of a blank sheet: there is no target unless all of them were measured.
 fn means(rows: &mut Vec<BenchRow>) {
     let blank = Artist {
         name: BLANK,
@@ -388,19 +402,24 @@ fn means(rows: &mut Vec<BenchRow>) {
     let artists: Vec<Artist> = Artist::all().chain([blank]).collect();
     for (figure, unit) in FIGURES {
         let mean = |artist: &Artist| {
-            let cases = PHOTOGRAPHS.map(|photograph| artist.case(figure, photograph.name));
-            let same = rows
-                .iter()
-                .filter(|row| row.subject == artist.subject() && cases.contains(&row.case));
-            let values: Vec<f64> = same.map(|row| row.value).collect();
+            let value = |figure: &str, photograph: &str| {
+                let case = artist.case(figure, photograph);
+                let mut same = rows.iter();
+                let row = same.find(|row| row.subject == artist.subject() && row.case == case);
+                row.map(|row| row.value)
+            };
+            let counted = PHOTOGRAPHS.iter().map(|photograph| photograph.name);
+            // A blank sheet has no time.
+            let counted = counted.filter(|name| value(DRAWING_S, name).is_none_or(is_equal_time));
+            let values: Vec<f64> = counted.filter_map(|name| value(figure, name)).collect();
             (!values.is_empty()).then(|| values.iter().sum::<f64>() / values.len() as f64)
         };
         let means: Vec<(Artist, f64)> = artists
             .iter()
             .filter_map(|artist| Some((*artist, mean(artist)?)))
             .collect();
-        let others = means.iter().filter(|(artist, _)| artist.is_peer);
-        let best = others.map(|(_, value)| *value).reduce(f64::max);
+        let others: Option<Vec<f64>> = artists.iter().filter(|artist| artist.is_peer).map(mean).collect();
+        let best = others.and_then(|others| others.into_iter().reduce(f64::max));
         rows.extend(means.into_iter().map(|(artist, value)| BenchRow {
             case: artist.case(figure, MEAN),
             subject: artist.subject(),
@@ -497,25 +516,65 @@ mod tests {
         assert_eq!(drawn("lifts/", None), 0);
     }
 
+    /// The mean margin of `sketch` after [`means`], with its target.
+    fn mean_of_sketch(mut rows: Vec<BenchRow>) -> BenchRow {
+        means(&mut rows);
+        let is_mean = |row: &BenchRow| row.case == "portrait/identity_margin/mean/sketch";
+        rows.into_iter().find(is_mean).expect("a mean")
+    }
+
+    fn blank_row(value: f64) -> BenchRow {
+        BenchRow {
+            subject: BLANK,
+            ..row(artist("hatched"), "obama", value)
+        }
+    }
+
     #[test]
-    fn the_mean_margin_has_to_be_above_those_of_other_programs_and_of_a_blank_sheet() {
+    fn the_mean_margin_has_to_reach_those_of_other_programs_and_of_a_blank_sheet() {
         let target = |hatched: f64, blank: f64| {
-            let mut rows = vec![
+            let mean = mean_of_sketch(vec![
                 row(artist("sketch"), "obama", 0.4),
                 row(artist("sketch"), "biden", 0.2),
                 row(artist("hatched"), "obama", hatched),
-            ];
-            rows.push(BenchRow {
-                subject: BLANK,
-                ..row(artist("hatched"), "obama", blank)
-            });
-            means(&mut rows);
-            let mean = |row: &&BenchRow| row.case == "portrait/identity_margin/mean/sketch";
-            let mean = rows.iter().find(mean).expect("a mean");
+                row(artist("plotline hatch"), "obama", 0.0),
+                row(artist("plotline contours"), "obama", 0.1),
+                blank_row(blank),
+            ]);
             assert!((mean.value - 0.3).abs() < 1e-12);
             (mean.target, mean.met())
         };
         assert_eq!(target(0.25, 0.1), (Some(0.25), Some(true)));
         assert_eq!(target(-0.2, 0.35), (Some(0.35), Some(false)));
+    }
+
+    #[test]
+    fn the_mean_margin_has_no_target_while_another_program_has_no_mean() {
+        for missing in PEERS.iter().map(|peer| peer.name) {
+            let mut rows = vec![row(artist("sketch"), "obama", 0.4), blank_row(0.01)];
+            let others = Artist::all().filter(|artist| artist.is_peer && artist.name != missing);
+            rows.extend(others.map(|artist| row(artist, "obama", 0.2)));
+            assert_eq!(mean_of_sketch(rows).target, None, "without {missing}");
+        }
+    }
+
+    #[test]
+    fn drawings_that_take_another_time_are_in_no_mean_and_no_target() {
+        let time = |artist: Artist, photograph: &str, seconds: f64| BenchRow {
+            case: artist.case(DRAWING_S, photograph),
+            value: seconds,
+            unit: "s",
+            ..row(artist, photograph, 0.0)
+        };
+        let mut rows = vec![blank_row(0.01)];
+        let figures = [("obama", 0.1, 79.0), ("biden", 0.9, 49.0), ("speaker", 0.9, f64::NAN)];
+        for artist in Artist::all() {
+            for (photograph, margin, seconds) in figures {
+                rows.push(row(artist, photograph, margin));
+                rows.push(time(artist, photograph, seconds));
+            }
+        }
+        let mean = mean_of_sketch(rows);
+        assert_eq!((mean.value, mean.target), (0.1, Some(0.1)));
     }
 }
