@@ -3,9 +3,11 @@
 //! A slave in OP takes its outputs by its clock, and its neighbours theirs: 1 us apart is what drives that share a load
 //! tolerate. A crystal drifts by some ten parts per million and its control adds as much, some ten nanoseconds a
 //! millisecond; what goes beyond [`JUMP_NS`] where nothing is disturbed was set, and moves the moment at which the drive acts.
-//! After a loss of frames a clock follows the others at up to a tenth of its speed ([`CATCH_UP_NS`]).
+//! After a loss of frames a clock follows the others at up to a tenth of its speed ([`CATCH_UP_NS`]). While a fault is latched
+//! clocks need not agree: a slave that has returned in front of the one that distributes its time waits for its repair, and
+//! until then it gets the time before its own.
 
-use crate::moment::Moment;
+use crate::moment::{Mode, Moment};
 use crate::scene::{Finding, Scene};
 use crate::violation::Rule;
 
@@ -35,7 +37,11 @@ impl Clocks {
         } else {
             0
         };
-        let finding = self.jumps(moment).and_then(|()| self.agree(moment));
+        let agreement = match scene.orders.mode {
+            Some(Mode::Fault) => Ok(()),
+            _ => self.agree(moment),
+        };
+        let finding = self.jumps(moment).and(agreement);
         self.before.clear();
         self.before.extend_from_slice(moment.clocks.system_ns);
         self.before_ns = moment.clocks.time_ns;
@@ -97,6 +103,7 @@ fn difference_ns(one: u64, other: u64) -> i32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::moment::Report;
     use crate::rig::{Rig, broken};
 
     /// Three slaves whose clocks go right from now on, two of them by so many nanoseconds wrong, for some milliseconds.
@@ -125,6 +132,21 @@ mod tests {
         for apart_ns in [1_100, -1_100] {
             assert!(broken(&run(apart_ns, 1_200), Rule::Clocks));
         }
+    }
+
+    #[test]
+    fn clocks_agree_again_once_the_fault_is_acknowledged() {
+        let mut rig = Rig::idle();
+        let mut run = |mode: Mode, ms: core::ops::Range<u64>, ahead_ns: u64| {
+            rig.report(Report::Mode(mode));
+            ms.into_iter().try_for_each(|ms| {
+                let right_ns = 1_000_000_000 + ms * 1_000_000;
+                rig.clocks_ns = vec![Some(right_ns + ahead_ns), Some(right_ns)];
+                rig.step()
+            })
+        };
+        assert_eq!(run(Mode::Fault, 0..2_000, 2_300), Ok(()));
+        assert!(broken(&run(Mode::DrivesOff, 2_000..4_000, 2_300), Rule::Clocks));
     }
 
     #[test]
