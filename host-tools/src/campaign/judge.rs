@@ -2,47 +2,24 @@
 //!
 //! Nothing is judged here. Commands are taken from the bytes that reached the board, after the line's noise.
 
-use super::machine::{Chain, has_height_axis};
+mod bounds;
+
+use super::Rule;
+use super::machine::Chain;
 use super::world::Frame;
-use super::{Rule, robot};
-use crate::cell::{Clocks, Fault, PEN_SPRING_MM, Product, ResolverFault, SiiFault, Truth};
+use crate::cell::{Clocks, Fault, Product, ResolverFault, SiiFault, Truth};
+pub(super) use bounds::{ink_limit_mm, product};
 use etherpen::application::Mode;
-use etherpen::config::{Axis, AxisMode, Config, PenLiftKind, Transport};
+use etherpen::config::Config;
 use etherpen::link::frame::{Decoder, decode};
 use etherpen::messages::{Command, HostMessage, PathVertex, Status};
 use etherpen::motion::Pen;
-use etherpen::robots::{AXES, MAIN_AXES};
+use etherpen::robots::AXES;
 use etherpen_monitor as monitor;
 use monitor::{Count, Input, Joint, Moment, Monitor, Report, WireFrame};
 
 /// Most frames of a millisecond that are judged.
 const FRAMES_MAX: usize = 16;
-/// How far the tool may be from its setpoint in velocity and in torque mode, mm. Torque keeps 1.0 mm while it draws
-/// (`tests/drives.rs`) and 1.2 mm in travel at 1,000 mm/s.
-const FOLLOWING_MM: f64 = 0.3;
-const FOLLOWING_BY_TORQUE_MM: f64 = 1.3;
-/// How far the pen may be beside its line in velocity mode, in addition to the tolerance and to what its acceleration
-/// explains, while nothing is disturbed, mm.
-const UNDISTURBED_MM: f64 = 0.02;
-/// By which part of its speed the tool may exceed it in velocity and in torque mode.
-const OVERSHOOT: f64 = 0.05;
-const OVERSHOOT_BY_TORQUE: f64 = 0.15;
-/// By how much the tool may exceed it in torque mode besides, mm/s: 66 mm/s were seen where 36 were ordered, as a pen
-/// left the paper.
-const OVERSHOOT_BY_TORQUE_MM_S: f64 = 35.0;
-/// How long a joint may creep after a motion in velocity and in torque mode, ms.
-const CREEP_MS: u32 = 100;
-const CREEP_BY_TORQUE_MS: u32 = 250;
-/// Part of the ink that may be missing in torque mode, where the pen's spring does not always reach the paper.
-const INK_MISSING_BY_TORQUE: f64 = 0.01;
-
-/// Length of a gap that this leaves in a line, mm.
-const INK_MISSING_BY_TORQUE_MM: f64 = 1.0;
-
-/// How far the tool may be astray in torque and position mode while a feedback is not true, mm: a slip need not be noticed
-/// there (`docs/faults.md`), so that only the joints' ranges bound it.
-const ASTRAY_BY_SLIP_MM: f64 = 600.0;
-
 /// How long the bus needs after a disturbance was put right, ms.
 const AFTER_REPAIR_MS: u64 = 3_000;
 /// How long a slave counts as disturbed that refuses its next request, ms.
@@ -108,7 +85,7 @@ pub(super) struct Judge {
 impl Judge {
     pub(super) fn new(config: &Config) -> Self {
         Self {
-            monitor: Monitor::new(cell(config)),
+            monitor: Monitor::new(bounds::cell(config)),
             inputs: Vec::new(),
             reports: Vec::new(),
             decoder: Box::default(),
@@ -539,266 +516,5 @@ fn mode_of(mode: Mode) -> monitor::Mode {
     }
 }
 
-/// The drive that belongs to an axis.
-pub(super) fn product(axis: &Axis) -> Product {
-    match axis.mode {
-        AxisMode::Velocity | AxisMode::Torque => Product::Ax2000,
-        AxisMode::Position => Product::Cia402,
-    }
-}
-
-fn by_torque(config: &Config) -> bool {
-    config.axes.iter().any(|axis| axis.mode == AxisMode::Torque)
-}
-
-/// How far the tool may be from its setpoint, mm.
-fn following_mm(config: &Config) -> f64 {
-    if by_torque(config) {
-        FOLLOWING_BY_TORQUE_MM
-    } else {
-        FOLLOWING_MM
-    }
-}
-
-/// How far the ink of the test drawing may be from its line, mm. In torque mode the pen may leave the paper for a
-/// moment, and the ink ends there.
-pub(super) fn ink_limit_mm(config: &Config) -> f64 {
-    let missing_mm = if by_torque(config) {
-        INK_MISSING_BY_TORQUE_MM
-    } else {
-        0.0
-    };
-    config.motion.tolerance_mm + following_mm(config) + missing_mm
-}
-
-/// Slowest vertical speed of lowering and lifting, mm/s; 0 if only the limits of all motion apply. A lift by an output takes
-/// the pen's time, less the part of it that a rounded corner saves.
-fn pen_speed_mm_s(config: &Config) -> f64 {
-    let (motion, paper, pen) = (&config.motion, &config.paper, &config.pen);
-    let slowest_ms = f64::from(pen.down_ms.max(pen.up_ms));
-    if !pen.kind.is_output() || slowest_ms == 0.0 {
-        return motion.pen_speed_mm_s;
-    }
-    let lift_mm = (paper.pen_lift_mm - motion.travel_tolerance_mm).max(0.1 * paper.pen_lift_mm);
-    let by_pen_mm_s = lift_mm * 1e3 / slowest_ms;
-    match motion.pen_speed_mm_s > 0.0 {
-        true => by_pen_mm_s.min(motion.pen_speed_mm_s),
-        false => by_pen_mm_s,
-    }
-}
-
-/// The configuration in the monitor's numbers.
-fn cell(config: &Config) -> monitor::Cell {
-    let usual = monitor::Cell::default();
-    let (motion, paper) = (&config.motion, &config.paper);
-    let ranges_rad = robot::ranges_rad(&config.geometry);
-    // The height of a machine without an axis for it counts as a joint that stands.
-    let axes = usize::from(config.bus.drives).max(MAIN_AXES);
-    let joints = config
-        .axes
-        .iter()
-        .take(axes)
-        .enumerate()
-        .map(|(axis, settings)| monitor::JointLimits {
-            range_rad: ranges_rad[axis],
-            speed_rad_s: motion.joint_speed_rad_s[axis],
-            acceleration_rad_s2: motion.joint_acceleration_rad_s2[axis],
-            quick_stop_rad_s2: settings.quick_stop_rad_s2,
-            brake_rad_s2: crate::cell::BRAKE_RAD_S2,
-            feedback_gain_per_s: settings.feedback_gain_per_s,
-            following_error_max_rad: settings.following_error_max_rad,
-            output_max_rad_s: settings.output_max_rad_s,
-            search_rad_s: match settings.home.io {
-                Some(_) => settings.home.speed_rad_s.abs().max(settings.home.latch_rad_s.abs()),
-                None => 0.0,
-            },
-            mark_rad: settings.sync_angle_rad,
-            turn_rad: core::f64::consts::TAU / settings.gear.abs(),
-        });
-    monitor::Cell {
-        robot: robot::robot(&config.geometry),
-        joints: joints.collect(),
-        work_area: monitor::WorkArea {
-            centre_mm: [0.0; 2],
-            radius_mm: config.work_area.radius_mm,
-            inner_radius_mm: config.work_area.inner_radius_mm,
-            x_mm: config.work_area.x_mm,
-            y_mm: config.work_area.y_mm,
-            z_low_mm: config.work_area.z_low_mm,
-            z_high_mm: config.work_area.z_high_mm,
-        },
-        paper: monitor::Paper {
-            centre_mm: paper.centre_mm,
-            size_mm: paper.size_mm,
-            pen_down_z_mm: paper.pen_down_z_mm,
-            pen_lift_mm: paper.pen_lift_mm,
-            pressing_depth_mm: paper.pressing_depth_mm,
-            slope: paper.slope,
-            pen_spring_mm: PEN_SPRING_MM,
-        },
-        has_height_axis: has_height_axis(config),
-        always_touches: config.pen.kind == PenLiftKind::None,
-        tool_speed_mm_s: motion.speed_mm_s,
-        travel_speed_mm_s: motion.travel_speed_mm_s,
-        tool_acceleration_mm_s2: motion.acceleration_mm_s2,
-        pen_speed_mm_s: pen_speed_mm_s(config),
-        pen_acceleration_mm_s2: motion.pen_acceleration_mm_s2,
-        pen_dwell_ms: motion.pen_dwell_ms.into(),
-        tolerance_mm: motion.tolerance_mm,
-        travel_tolerance_mm: motion.travel_tolerance_mm,
-        dead_man_ms: config.bus.dead_man_ms.into(),
-        blind_ms: config.bus.blind_max_ms.into(),
-        watchdog_ms: config.bus.watchdog_ms.into(),
-        host_silence_ms: config.bus.host_silence_ms.into(),
-        following_mm: following_mm(config),
-        undisturbed_mm: match config.axes.iter().all(|axis| axis.mode == AxisMode::Velocity) {
-            true => UNDISTURBED_MM,
-            false => following_mm(config),
-        },
-        kept_torque_mm_s2: if by_torque(config) {
-            motion.acceleration_mm_s2
-        } else {
-            0.0
-        },
-        creep_ms: if by_torque(config) {
-            CREEP_BY_TORQUE_MS
-        } else {
-            CREEP_MS
-        },
-        overshoot_part: if by_torque(config) {
-            OVERSHOOT_BY_TORQUE
-        } else {
-            OVERSHOOT
-        },
-        overshoot_mm_s: if by_torque(config) {
-            OVERSHOOT_BY_TORQUE_MM_S
-        } else {
-            usual.overshoot_mm_s
-        },
-        ink_missing_part: if by_torque(config) { INK_MISSING_BY_TORQUE } else { 0.0 },
-        disturbed_mm: if config.axes.iter().any(|axis| axis.mode != AxisMode::Velocity) {
-            ASTRAY_BY_SLIP_MM
-        } else {
-            usual.disturbed_mm
-        },
-        raw_wire: config.bus.transport == Transport::Raw,
-        ..usual
-    }
-}
-
 #[cfg(test)]
-mod tests {
-    use super::super::trouble;
-    use super::*;
-
-    fn fault(words: &str) -> Fault {
-        words.parse().expect("words of the script")
-    }
-
-    #[test]
-    fn what_was_put_right_is_judged_as_sound_again() {
-        let config = Config::default();
-        for words in [
-            "cut 2",
-            "remove 3",
-            "swap 2 cia402",
-            "swap 2 ax2000",
-            "sii 1 blank",
-            "refuse 1 op 0x001A",
-            "recable 3 2",
-            "mute 400",
-            "deaf 4 400",
-            "slip 2 10 50",
-        ] {
-            let mut judge = Judge::new(&config);
-            for words in [Some(words.to_owned()), trouble::end(words)].into_iter().flatten() {
-                judge.injected(fault(&words), 1, 1_000);
-            }
-            judge.end_disturbances(1_000 + AFTER_REPAIR_MS + 1);
-            let left = (judge.disturbances, judge.untrue, judge.open.len());
-            assert_eq!(left, (0, [0; AXES], 0), "{words}");
-            assert_eq!(judge.asks_for_homing(), words.starts_with("slip"), "{words}");
-            judge.reached(&Command::Home);
-            judge.answered(&Command::Home, true);
-            assert!(!judge.asks_for_homing());
-        }
-
-        let mut judge = Judge::new(&config);
-        judge.injected(fault("remove 3"), 1, 1_000);
-        judge.end_disturbances(1_000_000);
-        assert_eq!(judge.disturbances, 1, "it is still missing");
-    }
-
-    /// The inputs of the monitor that tell of the second axis's feedback, since the last call.
-    fn told(judge: &mut Judge) -> Vec<Input> {
-        let of_axis = |input: &Input| matches!(input, Input::Feedback { axis: 1, .. } | Input::Mounted { axis: 1 });
-        judge.inputs.drain(..).filter(of_axis).collect()
-    }
-
-    #[test]
-    fn a_mounted_encoder_is_true_and_its_reference_once_the_robot_is_homed() {
-        let mut judge = Judge::new(&Config::default());
-        let home = |judge: &mut Judge| {
-            judge.reached(&Command::Home);
-            judge.answered(&Command::Home, true);
-        };
-        let untrue = Input::Feedback {
-            axis: 1,
-            disturbed: true,
-        };
-        let mounted = Input::Mounted { axis: 1 };
-        for words in ["slip 2 10 50", "stuck 2 0"] {
-            judge.injected(fault(words), 1, 1_000);
-        }
-        assert_eq!(told(&mut judge), [untrue, mounted]);
-        assert!(judge.asks_for_homing());
-        // Nobody homes by an encoder that slips.
-        judge.injected(fault("slip 2 10 50"), 1, 2_000);
-        assert!(!judge.asks_for_homing());
-        home(&mut judge);
-        judge.injected(fault("stuck 2 0"), 1, 3_000);
-        assert_eq!(told(&mut judge), [untrue, mounted]);
-        assert!(judge.asks_for_homing());
-        home(&mut judge);
-        assert!(!judge.asks_for_homing());
-        // What passes ends by itself, but a robot that was homed meanwhile has an untrue reference.
-        for homes in [false, true] {
-            judge.injected(fault("stuck 2 20"), 1, 4_000);
-            if homes {
-                home(&mut judge);
-            }
-            judge.end_disturbances(5_000);
-            let sound = Input::Feedback {
-                axis: 1,
-                disturbed: false,
-            };
-            assert_eq!(told(&mut judge), [untrue, sound]);
-            assert_eq!(judge.asks_for_homing(), homes);
-        }
-    }
-
-    #[test]
-    fn a_search_shows_nothing_about_an_encoder_that_is_mounted_while_it_goes_on() {
-        for (mounted_in_search, answer_lost) in [(false, false), (true, false), (true, true), (false, true)] {
-            let mut judge = Judge::new(&Config::default());
-            judge.has_switches = true;
-            judge.injected(fault("slip 2 10 50"), 1, 4_000);
-            if !mounted_in_search {
-                judge.injected(fault("stuck 2 0"), 1, 4_500);
-            }
-            judge.reached(&Command::Home);
-            if !answer_lost {
-                judge.answered(&Command::Home, true);
-            }
-            if mounted_in_search {
-                judge.injected(fault("stuck 2 0"), 1, 5_000);
-            }
-            // Another order is refused meanwhile, perhaps before the mode is told.
-            judge.reached(&Command::Home);
-            judge.answered(&Command::Home, false);
-            judge.in_mode(Mode::Homing, false);
-            judge.in_mode(Mode::Idle, true);
-            assert_eq!(judge.asks_for_homing(), mounted_in_search || answer_lost);
-        }
-    }
-}
+mod tests;

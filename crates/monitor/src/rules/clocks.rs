@@ -5,7 +5,7 @@
 //! millisecond; what goes beyond [`JUMP_NS`] where nothing is disturbed was set, and moves the moment at which the drive acts.
 //! After a loss of frames a clock follows the others at up to a tenth of its speed ([`CATCH_UP_NS`]). While a fault is latched
 //! clocks need not agree: a slave that has returned in front of the one that distributes its time waits for its repair, and
-//! until then it gets the time before its own.
+//! until then it gets the time before its own. Its repair takes that away ([`WAITED_NS`]).
 
 use crate::moment::{Mode, Moment};
 use crate::scene::{Finding, Scene};
@@ -18,6 +18,9 @@ const JUMP_NS: u32 = 1_000;
 /// Most that a clock may gain or lose in a millisecond while something is disturbed, or was a moment ago, ns: what its control
 /// loop corrects at most, and a tenth more.
 const CATCH_UP_NS: u32 = 110_000;
+/// Most that a clock may gain or lose in a millisecond while a fault is latched, ns: the way of a frame to the slave that
+/// distributes its time, and as much again.
+const WAITED_NS: u32 = 10_000;
 /// Time for which nothing must have been disturbed before clocks have to agree, ms.
 const QUIET_MS: u32 = 1_000;
 
@@ -37,20 +40,22 @@ impl Clocks {
         } else {
             0
         };
-        let agreement = match scene.orders.mode {
-            Some(Mode::Fault) => Ok(()),
-            _ => self.agree(moment),
-        };
-        let finding = self.jumps(moment).and(agreement);
+        let is_fault = scene.orders.mode == Some(Mode::Fault);
+        let agreement = if is_fault { Ok(()) } else { self.agree(moment) };
+        let finding = self.jumps(moment, is_fault).and(agreement);
         self.before.clear();
         self.before.extend_from_slice(moment.clocks.system_ns);
         self.before_ns = moment.clocks.time_ns;
         finding
     }
 
-    fn jumps(&self, moment: &Moment<'_>) -> Finding {
+    fn jumps(&self, moment: &Moment<'_>, is_fault: bool) -> Finding {
         let passed_ns = moment.clocks.time_ns.wrapping_sub(self.before_ns);
-        let most_ns = if self.quiet_ms > QUIET_MS { JUMP_NS } else { CATCH_UP_NS };
+        let most_ns = match self.quiet_ms > QUIET_MS {
+            true if is_fault => WAITED_NS,
+            true => JUMP_NS,
+            false => CATCH_UP_NS,
+        };
         for (slave, (now, before)) in moment.clocks.system_ns.iter().zip(&self.before).enumerate() {
             let (Some(now), Some(before)) = (now, before) else {
                 continue;
@@ -146,7 +151,9 @@ mod tests {
             })
         };
         assert_eq!(run(Mode::Fault, 0..2_000, 2_300), Ok(()));
-        assert!(broken(&run(Mode::DrivesOff, 2_000..4_000, 2_300), Rule::Clocks));
+        assert_eq!(run(Mode::Fault, 2_000..2_100, 0), Ok(()), "its repair");
+        assert_eq!(run(Mode::Fault, 2_100..2_200, 2_300), Ok(()));
+        assert!(broken(&run(Mode::DrivesOff, 2_200..4_200, 2_300), Rule::Clocks));
     }
 
     #[test]

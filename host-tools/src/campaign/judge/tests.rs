@@ -1,0 +1,113 @@
+use super::super::trouble;
+use super::*;
+
+fn fault(words: &str) -> Fault {
+    words.parse().expect("words of the script")
+}
+
+#[test]
+fn what_was_put_right_is_judged_as_sound_again() {
+    let config = Config::default();
+    for words in [
+        "cut 2",
+        "remove 3",
+        "swap 2 cia402",
+        "swap 2 ax2000",
+        "sii 1 blank",
+        "refuse 1 op 0x001A",
+        "recable 3 2",
+        "mute 400",
+        "deaf 4 400",
+        "slip 2 10 50",
+    ] {
+        let mut judge = Judge::new(&config);
+        for words in [Some(words.to_owned()), trouble::end(words)].into_iter().flatten() {
+            judge.injected(fault(&words), 1, 1_000);
+        }
+        judge.end_disturbances(1_000 + AFTER_REPAIR_MS + 1);
+        let left = (judge.disturbances, judge.untrue, judge.open.len());
+        assert_eq!(left, (0, [0; AXES], 0), "{words}");
+        assert_eq!(judge.asks_for_homing(), words.starts_with("slip"), "{words}");
+        judge.reached(&Command::Home);
+        judge.answered(&Command::Home, true);
+        assert!(!judge.asks_for_homing());
+    }
+
+    let mut judge = Judge::new(&config);
+    judge.injected(fault("remove 3"), 1, 1_000);
+    judge.end_disturbances(1_000_000);
+    assert_eq!(judge.disturbances, 1, "it is still missing");
+}
+
+/// The inputs of the monitor that tell of the second axis's feedback, since the last call.
+fn told(judge: &mut Judge) -> Vec<Input> {
+    let of_axis = |input: &Input| matches!(input, Input::Feedback { axis: 1, .. } | Input::Mounted { axis: 1 });
+    judge.inputs.drain(..).filter(of_axis).collect()
+}
+
+#[test]
+fn a_mounted_encoder_is_true_and_its_reference_once_the_robot_is_homed() {
+    let mut judge = Judge::new(&Config::default());
+    let home = |judge: &mut Judge| {
+        judge.reached(&Command::Home);
+        judge.answered(&Command::Home, true);
+    };
+    let untrue = Input::Feedback {
+        axis: 1,
+        disturbed: true,
+    };
+    let mounted = Input::Mounted { axis: 1 };
+    for words in ["slip 2 10 50", "stuck 2 0"] {
+        judge.injected(fault(words), 1, 1_000);
+    }
+    assert_eq!(told(&mut judge), [untrue, mounted]);
+    assert!(judge.asks_for_homing());
+    // Nobody homes by an encoder that slips.
+    judge.injected(fault("slip 2 10 50"), 1, 2_000);
+    assert!(!judge.asks_for_homing());
+    home(&mut judge);
+    judge.injected(fault("stuck 2 0"), 1, 3_000);
+    assert_eq!(told(&mut judge), [untrue, mounted]);
+    assert!(judge.asks_for_homing());
+    home(&mut judge);
+    assert!(!judge.asks_for_homing());
+    // What passes ends by itself, but a robot that was homed meanwhile has an untrue reference.
+    for homes in [false, true] {
+        judge.injected(fault("stuck 2 20"), 1, 4_000);
+        if homes {
+            home(&mut judge);
+        }
+        judge.end_disturbances(5_000);
+        let sound = Input::Feedback {
+            axis: 1,
+            disturbed: false,
+        };
+        assert_eq!(told(&mut judge), [untrue, sound]);
+        assert_eq!(judge.asks_for_homing(), homes);
+    }
+}
+
+#[test]
+fn a_search_shows_nothing_about_an_encoder_that_is_mounted_while_it_goes_on() {
+    for (mounted_in_search, answer_lost) in [(false, false), (true, false), (true, true), (false, true)] {
+        let mut judge = Judge::new(&Config::default());
+        judge.has_switches = true;
+        judge.injected(fault("slip 2 10 50"), 1, 4_000);
+        if !mounted_in_search {
+            judge.injected(fault("stuck 2 0"), 1, 4_500);
+        }
+        judge.reached(&Command::Home);
+        if !answer_lost {
+            judge.answered(&Command::Home, true);
+        }
+        if mounted_in_search {
+            judge.injected(fault("stuck 2 0"), 1, 5_000);
+        }
+        // Another order is refused meanwhile, perhaps before the mode is told.
+        judge.reached(&Command::Home);
+        judge.answered(&Command::Home, false);
+        judge.in_mode(Mode::Homing, false);
+        judge.in_mode(Mode::Idle, true);
+        assert_eq!(judge.asks_for_homing(), mounted_in_search || answer_lost);
+    }
+}
