@@ -335,7 +335,7 @@ fn check_black_box(ended: &Ended) {
     assert!(end.is_some(), "the frames are those of the wire");
 }
 
-/// The same inputs once more give the same.
+/// Inputs that are given twice have equal results.
 fn check_replay(ended: &Ended) {
     let contents = Contents::of(&ended.black_box).expect("a recording");
     let replayed = replay(&contents, &ended.config).expect("two seconds of a drawing");
