@@ -17,6 +17,7 @@ mod odd_controllers;
 mod other_masters;
 mod own_driver;
 mod real_chain;
+mod returned;
 mod rig;
 mod services;
 mod several_frames;

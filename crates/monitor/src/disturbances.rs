@@ -45,8 +45,9 @@ pub(crate) struct Disturbances {
     /// The value before the last command to home, while that is not answered.
     before_homing: Option<bool>,
     search: Search,
-    /// Whether a feedback was not true in the search.
+    /// Whether a feedback was not true in the search, and since the last order to search.
     is_search_false: bool,
+    is_order_false: bool,
     feedback_ms: Option<u64>,
     machine_ms: Option<u64>,
     opened_ms: Option<u64>,
@@ -64,7 +65,7 @@ impl Disturbances {
         self.now_ms = now_ms;
         if self.feedback.contains(&true) {
             self.feedback_ms = Some(now_ms);
-            self.is_search_false |= self.search != Search::None;
+            self.search_by_untrue_feedback();
         }
         if let Search::Ordered(since_ms) | Search::Accepted(since_ms) = self.search
             && now_ms.saturating_sub(since_ms) > SEARCH_MAX_MS
@@ -105,7 +106,7 @@ impl Disturbances {
                 if let Some(flag) = self.feedback.get_mut(axis) {
                     (*flag, self.misreferenced) = (false, true);
                     self.before_homing = self.before_homing.map(|_| true);
-                    self.is_search_false |= self.search != Search::None;
+                    self.search_by_untrue_feedback();
                 }
             }
             Input::Drive { axis, deaf } => {
@@ -142,7 +143,8 @@ impl Disturbances {
                     search => search,
                 };
                 // One that goes on is refused when it is ordered again, and stays what it was.
-                self.is_search_false = self.feedback.contains(&true) || !begins && self.is_search_false;
+                self.is_order_false = self.feedback.contains(&true);
+                self.is_search_false = self.is_order_false || !begins && self.is_search_false;
             }
             Input::Restarted => {
                 (self.misreferenced, self.before_homing) = (false, None);
@@ -155,8 +157,12 @@ impl Disturbances {
     pub(crate) fn hear(&mut self, report: &Report) {
         match report {
             Report::Refused(Command::Search) if matches!(self.search, Search::Ordered(_)) => self.search = Search::None,
-            // An order that is repeated from here on is refused and changes nothing.
-            Report::Accepted(Command::Search) | Report::Mode(Mode::Homing) if self.search != Search::UnderWay => {
+            // It is a new search: an order that is repeated in one is refused. A stop may have ended the one before.
+            Report::Accepted(Command::Search) => {
+                self.search = Search::Accepted(self.now_ms);
+                self.is_search_false = self.is_order_false;
+            }
+            Report::Mode(Mode::Homing) if self.search != Search::UnderWay => {
                 self.search = Search::Accepted(self.now_ms);
             }
             Report::Homed(false) if self.search != Search::None => self.search = Search::UnderWay,
@@ -164,7 +170,9 @@ impl Disturbances {
                 self.search = Search::None;
                 (self.misreferenced, self.before_homing) = (self.is_search_false, None);
             }
-            Report::Accepted(Command::Home | Command::HomeAt { .. }) => self.before_homing = None,
+            Report::Accepted(Command::Home | Command::HomeAt { .. }) => {
+                (self.before_homing, self.search) = (None, Search::None);
+            }
             Report::Refused(Command::Home | Command::HomeAt { .. }) => {
                 if let Some(before) = self.before_homing.take() {
                     self.misreferenced = before;
@@ -172,6 +180,11 @@ impl Disturbances {
             }
             _ => {}
         }
+    }
+
+    fn search_by_untrue_feedback(&mut self) {
+        self.is_search_false |= self.search != Search::None;
+        self.is_order_false = true;
     }
 
     fn home(&mut self, is_off: bool) {
@@ -187,6 +200,11 @@ impl Disturbances {
     /// Whether an axis shows a position that is not true, or did a moment ago.
     pub(crate) fn feedback(&self) -> bool {
         self.has_false_feedback
+    }
+
+    /// When frames or slaves were disturbed last, ms.
+    pub(crate) fn machine_ms(&self) -> Option<u64> {
+        self.machine_ms
     }
 
     /// Whether frames, slaves or drives are disturbed, or were a moment ago.
@@ -335,6 +353,42 @@ mod tests {
             disturbances.step(100 + 2 * SETTLE_MS);
             disturbances.hear(&Report::Homed(true));
             assert_eq!(disturbances.none(), !mounted_in_search);
+        }
+    }
+
+    #[test]
+    fn a_search_that_a_stop_ended_makes_the_next_one_no_less_true() {
+        let (cell, motion) = (Cell::default(), Motion::default());
+        let order = Input::Commanded(Command::Search);
+        let feedback = |disturbed| Input::Feedback { axis: 1, disturbed };
+        for ends in [Command::Search, Command::Home] {
+            for is_untrue_again in [false, true] {
+                let mut disturbances = Disturbances::default();
+                let begin = |disturbances: &mut Disturbances, ended: Command| {
+                    disturbances.take(&cell, &motion, &Input::Commanded(ended));
+                    disturbances.hear(&Report::Accepted(ended));
+                    disturbances.hear(&Report::Homed(false));
+                };
+                disturbances.take(&cell, &motion, &order);
+                begin(&mut disturbances, Command::Search);
+                disturbances.take(&cell, &motion, &feedback(true));
+                disturbances.step(10);
+                for report in [Mode::Fault, Mode::DrivesOff, Mode::Unreferenced].map(Report::Mode) {
+                    disturbances.hear(&report);
+                }
+                disturbances.take(&cell, &motion, &feedback(false));
+                disturbances.step(100 + SETTLE_MS);
+                begin(&mut disturbances, ends);
+                let in_search = is_untrue_again && ends == Command::Search;
+                if in_search {
+                    disturbances.take(&cell, &motion, &feedback(true));
+                    disturbances.step(200 + SETTLE_MS);
+                    disturbances.take(&cell, &motion, &feedback(false));
+                }
+                disturbances.step(300 + 2 * SETTLE_MS);
+                disturbances.hear(&Report::Homed(true));
+                assert_eq!(disturbances.none(), !in_search, "{ends:?}");
+            }
         }
     }
 

@@ -114,6 +114,16 @@ impl Judge {
         self.last_command = None;
     }
 
+    /// The board begins again, and with it what it has been told, ordered and reported.
+    pub(super) fn board_was_reset(&mut self, config: &Config) {
+        self.monitor = Monitor::new(bounds::cell(config));
+        self.inputs.clear();
+        self.reports.clear();
+        (self.decoder, self.interlocks) = (Box::default(), Interlocks::default());
+        (self.searches, self.configured) = (false, false);
+        (self.ordered, self.finished) = (None, None);
+    }
+
     /// Takes bytes that reached the board.
     pub(super) fn delivered(&mut self, bytes: &[u8]) {
         for byte in bytes {

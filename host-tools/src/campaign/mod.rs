@@ -31,6 +31,7 @@ mod trouble;
 mod world;
 
 use crate::cell::{Cell, CellOptions, ClockOptions};
+use crate::emulator::Later;
 use crate::simulation;
 pub use emulated::{for_the_image, run_image};
 use episode::Episode;
@@ -96,6 +97,9 @@ impl fmt::Display for Failure {
 /// Longest time of an episode, ms; the operator ends each one much earlier.
 const LIMIT_MS: u32 = 1_200_000;
 
+/// Time for which a reset board does nothing, ms.
+const RESET_MS: u32 = 100;
+
 /// An episode that was run.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Run {
@@ -103,6 +107,8 @@ pub struct Run {
     pub failure: Option<Failure>,
     /// Virtual time, ms.
     pub passed_ms: u32,
+    /// How often the operator reset the board, because the fault said that nothing else helps.
+    pub resets: u32,
 }
 
 impl Run {
@@ -111,6 +117,7 @@ impl Run {
         Self {
             failure: Some(Failure { time_ms: 0, rule, text }),
             passed_ms: 0,
+            resets: 0,
         }
     }
 }
@@ -142,17 +149,44 @@ fn prepared(episode: &Episode) -> Result<(Config, World), Run> {
 #[must_use]
 pub fn run(episode: &Episode) -> Run {
     caught(|| {
-        let (config, mut world) = match prepared(episode) {
+        let (config, world) = match prepared(episode) {
             Ok(prepared) => prepared,
             Err(failed) => return failed,
         };
         let mut operator = Operator::new(episode, config, world.clone());
-        let passed_ms = simulation::run(&mut world, &mut operator, LIMIT_MS);
+        let passed_ms = with_resets(&mut operator, |operator, begun_ms, left_ms| {
+            let mut segment = begun_later(&world, begun_ms);
+            (simulation::run(&mut segment, operator, left_ms), ())
+        });
         Run {
+            passed_ms: passed_ms.0,
+            resets: operator.resets(),
             failure: operator.into_failure(),
-            passed_ms,
         }
     })
+}
+
+/// Runs the firmware from each start of the board to its next reset, or to the episode's end: `start` gets when it begins and
+/// what time is left, ms, and returns how long it ran. Returns the whole time, ms, and what the last run returned.
+fn with_resets<R>(operator: &mut Operator, mut start: impl FnMut(&mut Operator, u32, u32) -> (u32, R)) -> (u32, R) {
+    let mut begun_ms = 0;
+    loop {
+        let (ran_ms, result) = start(operator, begun_ms, LIMIT_MS.saturating_sub(begun_ms));
+        let passed_ms = begun_ms + ran_ms;
+        if !operator.presses_reset() {
+            return (passed_ms, result);
+        }
+        begun_ms = passed_ms + RESET_MS;
+        operator.begin_again(begun_ms);
+    }
+}
+
+/// The world as a board sees it that begins at a time, ms.
+fn begun_later(world: &World, begun_ms: u32) -> Later<World> {
+    Later {
+        segment: world.clone(),
+        begun_us: u64::from(begun_ms) * 1_000,
+    }
 }
 
 /// The result of `episode`; its panic is one.
@@ -198,6 +232,8 @@ pub struct Summary {
     pub episodes: u64,
     /// Virtual time of all episodes, ms.
     pub virtual_ms: u64,
+    /// Resets of the board in all episodes.
+    pub resets: u64,
     /// Seeds that failed, in their order.
     pub failed: Vec<Failed>,
 }
@@ -236,6 +272,7 @@ pub fn campaign(
             let mut summary = lock();
             summary.episodes += 1;
             summary.virtual_ms += u64::from(run.passed_ms);
+            summary.resets += u64::from(run.resets);
             summary.failed.extend(failed.clone());
             let progress = Progress {
                 episodes: summary.episodes,

@@ -160,3 +160,10 @@ fn an_episode_is_nearly_as_fast_as_a_drawing_alone() {
     }
     panic!("{best:.2}");
 }
+
+#[test]
+fn a_board_is_reset_where_its_fault_says_so() {
+    let damaged = include_str!("../../../tests/campaign/memory-damaged-at-the-first-reading.toml");
+    let run = run(&Episode::parse(damaged).expect("a test case"));
+    assert_eq!((run.failure, run.resets), (None, 1));
+}

@@ -71,6 +71,8 @@ struct Report {
     virtual_hours: f64,
     /// Virtual time for each second of this run, all jobs together.
     times_real_time: f64,
+    /// How often the operator reset the board, because the fault said that nothing else helps.
+    board_resets: u64,
     failures: Vec<ReportedFailure>,
 }
 
@@ -90,15 +92,24 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     // A panic of an episode is one of its results.
     std::panic::set_hook(Box::new(|_| {}));
     let begun = Instant::now();
-    let (episodes, virtual_ms, failures) = match arguments.replay.is_empty() {
+    let Outcome {
+        episodes,
+        virtual_ms,
+        resets,
+        failures,
+    } = match arguments.replay.is_empty() {
         true => of_seeds(arguments)?,
         false => of_files(arguments)?,
     };
     let virtual_hours = virtual_ms as f64 / 3.6e6;
     let times_real_time = virtual_ms as f64 / 1e3 / begun.elapsed().as_secs_f64().max(1e-9);
     eprintln!(
-        "{}, {virtual_hours:.2} hours of robot time ({times_real_time:.0} times real time): {}",
+        "{}, {virtual_hours:.2} hours of robot time ({times_real_time:.0} times real time){}: {}",
         counted(episodes, "episode"),
+        match resets {
+            0 => String::new(),
+            _ => format!(", {} of the board", counted(resets, "reset")),
+        },
         if failures.is_empty() {
             "no failure".to_owned()
         } else {
@@ -112,6 +123,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
             episodes,
             virtual_hours,
             times_real_time,
+            board_resets: resets,
             failures,
         })?;
     }
@@ -124,8 +136,14 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     }
 }
 
-/// Virtual milliseconds, and the failures with their number of episodes.
-type Outcome = (u64, u64, Vec<ReportedFailure>);
+/// What the episodes have shown.
+#[derive(Default)]
+struct Outcome {
+    episodes: u64,
+    virtual_ms: u64,
+    resets: u64,
+    failures: Vec<ReportedFailure>,
+}
 
 /// What runs an episode.
 type Runner = Box<dyn Fn(&Episode) -> Run + Sync>;
@@ -173,25 +191,32 @@ fn of_seeds(arguments: &Arguments) -> Result<Outcome, ProgramError> {
             replay: case.map_or_else(|| replay_seed(*seed, arguments), |case| replay_file(&case)),
         });
     }
-    Ok((summary.episodes, summary.virtual_ms, failures))
+    Ok(Outcome {
+        episodes: summary.episodes,
+        virtual_ms: summary.virtual_ms,
+        resets: summary.resets,
+        failures,
+    })
 }
 
 fn of_files(arguments: &Arguments) -> Result<Outcome, ProgramError> {
     let (run, files) = (runner(arguments)?, &arguments.replay);
-    let (mut virtual_ms, mut failures) = (0, Vec::new());
+    let mut outcome = Outcome::default();
     for file in files {
         let run = run(&Episode::read(file)?);
-        virtual_ms += u64::from(run.passed_ms);
+        outcome.episodes += 1;
+        outcome.virtual_ms += u64::from(run.passed_ms);
+        outcome.resets += u64::from(run.resets);
         if let Some(failure) = run.failure {
             eprintln!("{} {}: {failure}", in_colour("failed", "1;31"), file.display());
-            failures.push(ReportedFailure {
+            outcome.failures.push(ReportedFailure {
                 seed: None,
                 what: failure.to_string(),
                 replay: replay_file(file) + emulated(arguments),
             });
         }
     }
-    Ok((files.len() as u64, virtual_ms, failures))
+    Ok(outcome)
 }
 
 fn processors() -> usize {

@@ -54,7 +54,7 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
             let mut ordered = clocks.slaves.iter().enumerate().take(clocks.ordered.into());
             clocks.are_moved = ordered.any(|(position, slave)| answers(position) && !slave.measured);
         }
-        Ok(None) if has_junction => {} // The delays stay as they were measured before.
+        Ok(None) if has_junction || clocks.are_moved => {} // The delays stay as they were measured before.
         Ok(None) => take_delays(clocks, &expected_chain(clocks)),
         // A slave has gone meanwhile, or returned.
         Err(BusError::WorkingCounter { .. }) => return Ok(()),

@@ -337,7 +337,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         };
         let (port, station) = (&mut self.port, slave.station());
         let at = |step| Failure::of(slave.position, step);
-        slave.report = AlReport::default();
+        (slave.report, slave.mailbox) = (AlReport::default(), Mailbox::default());
         discovery::clear(port, station).await.map_err(at(Step::Init))?;
         if slave.fixed.mailbox_out.length > 0 {
             let (out, input) = (slave.fixed.mailbox_out, slave.fixed.mailbox_in);

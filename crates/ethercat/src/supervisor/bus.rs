@@ -70,6 +70,8 @@ pub(super) struct Bus<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     /// Terminals that have had process data since the bring-up: one that shows none now was not read as it is.
     pub(super) exchanged: SlaveSet,
     pub(super) generation: u8,
+    /// Station address of the clock whose time the last plan distributes; 0 for none.
+    distributes: u16,
     worked_on: Option<usize>,
     pub(super) cable_next: usize,
     /// Whether a slave in use was asked to go to OP since the last time all were taken out of it.
@@ -106,6 +108,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             ordered: 0,
             exchanged: SlaveSet::NONE,
             generation: 0,
+            distributes: 0,
             worked_on: None,
             cable_next: 0,
             asked_for_operation: false,
@@ -313,6 +316,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
     /// Sends the plan that results from the slaves' conditions.
     pub(super) async fn send_plan(&mut self) {
         let mut plan = self.plan();
+        self.distributes = plan.clock.map_or(0, |clock| clock.station);
         while let Err(back) = self.plans.enqueue(plan) {
             plan = back;
             self.port.wait_ms(1).await;
@@ -335,6 +339,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             terminals: SlaveSet::NONE,
             message: self.longest_message(),
         };
+        self.distributes = plan.clock.map_or(0, |clock| clock.station);
         while let Err(back) = self.plans.enqueue(plan) {
             plan = back;
             self.port.wait_ms(1).await;
@@ -372,10 +377,9 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
     pub(super) async fn tell_delays(&mut self) {
         let (stations, there) = (self.stations(), self.answering());
         let answers = |position: usize| there.get(position).is_some_and(|there| *there);
-        let before = self.distributor();
         let _ = clock::tell_delays(&mut self.port, &stations, &mut self.clocks, answers).await;
-        if self.distributor() != before {
-            // The chain has another first slave, to which the time of the one before was written.
+        if self.reference_clock().map_or(0, |clock| clock.station) != self.distributes {
+            // The chain has another first slave, to which the time of the one before was written. Or this was interrupted here.
             self.send_plan().await;
             self.port.wait_ms(PLAN_MS).await;
             let _ = clock::tell_delays(&mut self.port, &stations, &mut self.clocks, answers).await;

@@ -365,11 +365,15 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             self.bus.clocks.chain_changed();
         }
         let Self { bus, inbox, .. } = self;
-        let expected = Expectation {
+        let mut expected = Expectation {
             slaves: Some(there),
-            allowed: inbox::STATUS_MASK,
-            ..Expectation::default()
+            ..bus.expectation(None)
         };
+        if there > bus.present() || inbox.suspicion_ms > 0 {
+            // Slaves that wait for their repair may be in any state; what stays wrong does not keep the clocks from being told.
+            (expected.required, expected.allowed) = (0, inbox::STATUS_MASK);
+            expected.answering = SlaveSet::NONE;
+        }
         let work = pin!(bus.tell_delays());
         // What is not told yet is told in the next round.
         let _ = inbox.guard(expected, Work::Background, work).await;
@@ -428,8 +432,11 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 let work = pin!(bus.repair(number));
                 inbox.guard(expected, Work::Exclusive, work).await
             };
-            let answered = inbox.seen.map_or(SlaveSet::NONE, |seen| seen.answered);
-            silent = silent.without(SlaveSet::ALL.without(exchanging.without(answered)));
+            // Without replies, or while slaves are away, nobody knows who is silent.
+            let all_there = inbox.seen.filter(|seen| !seen.silent && seen.al.slaves == there);
+            silent = all_there.map_or(SlaveSet::NONE, |seen| {
+                silent.without(SlaveSet::ALL.without(exchanging.without(seen.answered)))
+            });
             bus.work_on(None).await;
             match result {
                 Err(Interruption::Bus) => self.inspect_all().await,
@@ -450,6 +457,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         for number in 0..self.bus.slaves.len() {
             if let Some(slave) = self.bus.slaves.get_mut(number)
                 && silent.contains(number)
+                && slave.condition == Condition::Operational
             {
                 slave.condition = Condition::Returned;
                 let position = slave.position as u8;

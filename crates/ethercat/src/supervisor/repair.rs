@@ -62,9 +62,22 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             }
             None => self.take_back(number, &places).await?,
         }
+        let configured = self.configure_again(number).await;
+        if let Some(slave) = self.slaves.get_mut(number)
+            && configured.is_err()
+            && !slave.is_terminal
+        {
+            // What was read of it may be wrong: the next repair identifies it again.
+            slave.condition = Condition::Returned;
+        }
+        configured
+    }
+
+    /// Brings a slave to OP through INIT.
+    async fn configure_again(&mut self, number: usize) -> Result<(), Failure> {
+        let at = |step| Failure::of(number as u16, step);
         self.adapt_exchange(number).await.map_err(at(Step::Identify))?;
         if let Some(slave) = self.slaves.get_mut(number) {
-            // The slave goes through INIT in any case.
             slave.report = Default::default();
         }
         self.recognise(number).await?;
@@ -111,7 +124,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             Err(error) => return Err(error),
         };
         information::give_to_slave(&mut self.port, station).await;
-        let is_new = has_other_serial(&slave, &fixed.identity);
+        // Another one, or what was read before was wrong.
+        let is_new = fixed != slave.fixed;
         if is_new {
             self.clocks.was_off(number);
             self.take_place(number, fixed, known);
@@ -454,7 +468,12 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 actual: new.product,
             });
         }
-        let mut others = self.slaves.iter().filter(|other| other.position != slave.position);
+        // An extra slave that has gone again may have been put here: a spare that was tried at the chain's end.
+        let has_gone = |other: &Slave<F>| {
+            usize::from(other.position) >= self.ordered && !other.is_used() && other.condition == Condition::Lost
+        };
+        let others = self.slaves.iter();
+        let mut others = others.filter(|other| other.position != slave.position && !has_gone(other));
         let elsewhere = others.find(|other| {
             let other = other.identity();
             (other.vendor, other.product, other.serial) == (new.vendor, new.product, new.serial)
@@ -543,7 +562,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
 pub(super) enum Returned {
     /// The one that was lost, as far as its identity tells.
     Same,
-    /// One of the same product with another serial number: it may have been set up for another machine.
+    /// One of the same product of which something else was read: it may have been set up for another machine.
     Equal,
     /// Another one; it is a stranger now.
     Other,

@@ -4,8 +4,9 @@
 //! tolerate. A crystal drifts by some ten parts per million and its control adds as much, some ten nanoseconds a
 //! millisecond; what goes beyond [`JUMP_NS`] where nothing is disturbed was set, and moves the moment at which the drive acts.
 //! After a loss of frames a clock follows the others at up to a tenth of its speed ([`CATCH_UP_NS`]). While a fault is latched
-//! clocks need not agree: a slave that has returned in front of the one that distributes its time waits for its repair, and
-//! until then it gets the time before its own. Its repair takes that away ([`WAITED_NS`]).
+//! to which slaves or frames were disturbed, clocks need not agree: a slave that has returned in front of the one that
+//! distributes its time waits for its repair, and until then it gets the time before its own. Its repair takes that away
+//! ([`WAITED_NS`]).
 
 use crate::moment::{Mode, Moment};
 use crate::scene::{Finding, Scene};
@@ -18,9 +19,11 @@ const JUMP_NS: u32 = 1_000;
 /// Most that a clock may gain or lose in a millisecond while something is disturbed, or was a moment ago, ns: what its control
 /// loop corrects at most, and a tenth more.
 const CATCH_UP_NS: u32 = 110_000;
-/// Most that a clock may gain or lose in a millisecond while a fault is latched, ns: the way of a frame to the slave that
-/// distributes its time, and as much again.
+/// Most that a clock may gain or lose by repairs while a fault is latched and nothing is disturbed, ns: the way of a frame to
+/// the slave that distributes its time, and as much again.
 const WAITED_NS: u32 = 10_000;
+/// Longest time from a disturbance of slaves or frames to the report of its fault, ms.
+const TOLD_MS: u64 = 1_000;
 /// Time for which nothing must have been disturbed before clocks have to agree, ms.
 const QUIET_MS: u32 = 1_000;
 
@@ -30,6 +33,10 @@ pub(crate) struct Clocks {
     quiet_ms: u32,
     before: Vec<Option<u64>>,
     before_ns: u64,
+    /// When the latched fault was first reported.
+    fault_ms: Option<u64>,
+    /// What each clock has gained or lost by repairs since something was disturbed, ns.
+    repaired_ns: Vec<u32>,
 }
 
 impl Clocks {
@@ -40,27 +47,46 @@ impl Clocks {
         } else {
             0
         };
-        let is_fault = scene.orders.mode == Some(Mode::Fault);
-        let agreement = if is_fault { Ok(()) } else { self.agree(moment) };
-        let finding = self.jumps(moment, is_fault).and(agreement);
+        match scene.orders.mode == Some(Mode::Fault) {
+            true => _ = self.fault_ms.get_or_insert(scene.now_ms()),
+            false => self.fault_ms = None,
+        }
+        let waits = self.fault_ms.is_some_and(|fault_ms| {
+            let disturbed_ms = scene.disturbances.machine_ms();
+            disturbed_ms.is_some_and(|disturbed_ms| disturbed_ms.saturating_add(TOLD_MS) >= fault_ms)
+        });
+        let agreement = if waits { Ok(()) } else { self.agree(moment) };
+        let finding = self.jumps(moment, waits).and(agreement);
         self.before.clear();
         self.before.extend_from_slice(moment.clocks.system_ns);
         self.before_ns = moment.clocks.time_ns;
         finding
     }
 
-    fn jumps(&self, moment: &Moment<'_>, is_fault: bool) -> Finding {
+    fn jumps(&mut self, moment: &Moment<'_>, waits: bool) -> Finding {
         let passed_ns = moment.clocks.time_ns.wrapping_sub(self.before_ns);
-        let most_ns = match self.quiet_ms > QUIET_MS {
-            true if is_fault => WAITED_NS,
-            true => JUMP_NS,
-            false => CATCH_UP_NS,
-        };
-        for (slave, (now, before)) in moment.clocks.system_ns.iter().zip(&self.before).enumerate() {
+        let is_quiet = self.quiet_ms > QUIET_MS;
+        if !(is_quiet && waits) {
+            self.repaired_ns.clear();
+        }
+        self.repaired_ns.resize(moment.clocks.system_ns.len(), 0);
+        let clocks = moment.clocks.system_ns.iter().zip(&self.before);
+        for (slave, ((now, before), repaired_ns)) in clocks.zip(&mut self.repaired_ns).enumerate() {
             let (Some(now), Some(before)) = (now, before) else {
                 continue;
             };
             let gained_ns = difference_ns(now.wrapping_sub(*before), passed_ns);
+            let most_ns = match is_quiet {
+                true if waits && gained_ns.unsigned_abs() > JUMP_NS => {
+                    *repaired_ns = repaired_ns.saturating_add(gained_ns.unsigned_abs());
+                    match *repaired_ns <= WAITED_NS {
+                        true => WAITED_NS,
+                        false => JUMP_NS,
+                    }
+                }
+                true => JUMP_NS,
+                false => CATCH_UP_NS,
+            };
             if gained_ns.unsigned_abs() > most_ns {
                 let text = format!("the clock of slave {} in OP jumped by {gained_ns} ns", slave + 1);
                 return Err((Rule::Clocks, text));
@@ -140,20 +166,49 @@ mod tests {
     }
 
     #[test]
-    fn clocks_agree_again_once_the_fault_is_acknowledged() {
+    fn clocks_that_wait_for_a_repair_agree_again_once_the_fault_is_acknowledged() {
+        // Slaves were disturbed before the fault, in it, or never.
+        for disturbed in [Some(0), Some(1), None] {
+            let mut rig = Rig::idle();
+            let mut run = |mode: Mode, ms: core::ops::Range<u64>, ahead_ns: u64| {
+                rig.report(Report::Mode(mode));
+                ms.into_iter().try_for_each(|ms| {
+                    let right_ns = 1_000_000_000 + ms * 1_000_000;
+                    rig.clocks_ns = vec![Some(right_ns + ahead_ns), Some(right_ns)];
+                    if ms < 3 {
+                        rig.disturb_machine(disturbed == Some(ms));
+                    }
+                    rig.step()
+                })
+            };
+            assert_eq!(run(Mode::DrivesOff, 0..1, 0), Ok(()));
+            let waits = run(Mode::Fault, 1..2_500, 2_300);
+            if disturbed.is_none() {
+                assert!(broken(&waits, Rule::Clocks), "{waits:?}");
+                continue;
+            }
+            assert_eq!(waits, Ok(()));
+            assert_eq!(run(Mode::Fault, 2_500..2_600, 0), Ok(()), "its repair");
+            assert_eq!(run(Mode::Fault, 2_600..2_700, 2_300), Ok(()));
+            assert!(broken(&run(Mode::DrivesOff, 2_700..4_700, 2_300), Rule::Clocks));
+        }
+    }
+
+    #[test]
+    fn a_clock_that_is_set_again_and_again_while_a_fault_is_latched_is_noticed() {
         let mut rig = Rig::idle();
-        let mut run = |mode: Mode, ms: core::ops::Range<u64>, ahead_ns: u64| {
-            rig.report(Report::Mode(mode));
-            ms.into_iter().try_for_each(|ms| {
-                let right_ns = 1_000_000_000 + ms * 1_000_000;
-                rig.clocks_ns = vec![Some(right_ns + ahead_ns), Some(right_ns)];
-                rig.step()
-            })
-        };
-        assert_eq!(run(Mode::Fault, 0..2_000, 2_300), Ok(()));
-        assert_eq!(run(Mode::Fault, 2_000..2_100, 0), Ok(()), "its repair");
-        assert_eq!(run(Mode::Fault, 2_100..2_200, 2_300), Ok(()));
-        assert!(broken(&run(Mode::DrivesOff, 2_200..4_200, 2_300), Rule::Clocks));
+        rig.report(Report::Mode(Mode::Fault));
+        rig.disturb_machine(true);
+        let set = (0..3_000_u64).try_for_each(|ms| {
+            let right_ns = 1_000_000_000 + ms * 1_000_000;
+            let ahead_ns = if ms > 2_000 { 2_300 * (ms % 2) } else { 0 };
+            rig.clocks_ns = vec![Some(right_ns + ahead_ns), Some(right_ns)];
+            if ms == 1 {
+                rig.disturb_machine(false);
+            }
+            rig.step()
+        });
+        assert!(broken(&set, Rule::Clocks), "{set:?}");
     }
 
     #[test]

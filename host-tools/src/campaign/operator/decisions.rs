@@ -6,6 +6,7 @@ use super::super::ink;
 use super::{Operator, Stage, test_figure};
 use etherpen::application::{Fault as Reason, Mode};
 use etherpen::ethercat::diagnostics::ServiceRequest;
+use etherpen::ethercat::error::IdentityProperty;
 use etherpen::ethercat::state::AlState;
 use etherpen::link::message::PathAck;
 use etherpen::messages::Command;
@@ -27,6 +28,8 @@ const JOG_REPEAT_MS: u32 = 20;
 const PATIENCE_MAX_MS: u32 = 8_000;
 /// Acknowledgements without effect after which the configuration is sent again: a board that was restarted has none.
 const ACKNOWLEDGED_MAX: u32 = 3;
+/// Resets of the board once everything is healed.
+const RESETS_MAX: u32 = 1;
 /// Drives that can be put in the place of another one: product code, and the name in the script of faults.
 const PRODUCTS: [(u32, &str); 2] = [(0x07D0_6014, "ax2000"), (0x0402, "cia402")];
 /// How far from the middle of the sheet detours lead, sides of the sheet.
@@ -72,6 +75,7 @@ impl Operator<'_> {
         }
         match mode {
             _ if recovering => {}
+            Mode::Fault if self.acknowledged >= ACKNOWLEDGED_MAX && self.needs_reset() => self.presses_reset = true,
             Mode::Fault if self.acknowledged >= ACKNOWLEDGED_MAX => {
                 self.acknowledged = 0;
                 self.configure();
@@ -137,6 +141,20 @@ impl Operator<'_> {
             self.inject(&format!("swap {} {name}", slave + 1));
             self.judge.healed();
         }
+    }
+
+    /// Whether everything is healed and at its place, and the fault says that then only a reset helps: the board first saw
+    /// the slaves exchanged, or read a damaged memory.
+    fn needs_reset(&self) -> bool {
+        let fault = self.status.as_ref().and_then(|status| status.fault);
+        let is_of_first_sight = match fault {
+            Some(Reason::OtherProduct { expected, found, .. }) => expected == found,
+            Some(Reason::WrongSlave { property, other, .. }) => {
+                property == IdentityProperty::Station && other.is_some()
+            }
+            _ => false,
+        };
+        is_of_first_sight && self.stage != Stage::Free && self.resets < RESETS_MAX
     }
 
     /// Whether the drawing has not advanced for long.

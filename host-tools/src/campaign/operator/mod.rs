@@ -86,6 +86,10 @@ pub(super) struct Operator<'e> {
     up: Line,
     down: Line,
     board: Board,
+    /// When the board began, and how often the operator has reset it.
+    begun_ms: u32,
+    resets: u32,
+    presses_reset: bool,
     now_ms: u32,
     stage: Stage,
     next_event: usize,
@@ -144,6 +148,9 @@ impl<'e> Operator<'e> {
             up: Line::new(episode.seed),
             down: Line::new(!episode.seed),
             board: Board::default(),
+            begun_ms: 0,
+            resets: 0,
+            presses_reset: false,
             now_ms: 0,
             stage: Stage::Free,
             next_event: 0,
@@ -172,6 +179,25 @@ impl<'e> Operator<'e> {
         };
         operator.reconnect();
         operator
+    }
+
+    /// How often the operator has reset the board.
+    pub(super) const fn resets(&self) -> u32 {
+        self.resets
+    }
+
+    /// Whether the operator resets the board: nothing else ends its fault.
+    pub(super) const fn presses_reset(&self) -> bool {
+        self.presses_reset
+    }
+
+    /// The board begins again, and remembers nothing.
+    pub(super) fn begin_again(&mut self, now_ms: u32) {
+        (self.begun_ms, self.now_ms) = (now_ms, now_ms);
+        (self.presses_reset, self.resets) = (false, self.resets + 1);
+        (self.status, self.ack, self.acknowledged) = (None, PathAck::default(), 0);
+        self.judge.board_was_reset(&self.config);
+        self.reconnect();
     }
 
     /// What the episode has found.
@@ -268,13 +294,13 @@ impl<'e> Operator<'e> {
 
     /// Judges what can only be judged at the end.
     fn end(&mut self) {
-        let counts = {
+        // A board that was reset has counted only what came behind.
+        if self.resets == 0 {
             let (episode, config) = (self.episode, &self.config);
-            self.world
-                .look(|cell, _| counted::expected(episode, config, cell.injected()))
-        };
-        for (name, count) in counts.into_iter().flatten() {
-            self.judge.expect(name, count);
+            let injected = |world: &World| world.look(|cell, _| counted::expected(episode, config, cell.injected()));
+            for (name, count) in injected(&self.world).into_iter().flatten() {
+                self.judge.expect(name, count);
+            }
         }
         if let Err((rule, text)) = self.judge.end() {
             self.fail(rule, text);
@@ -385,6 +411,7 @@ impl<'e> Operator<'e> {
 
 impl Host for Operator<'_> {
     fn exchange(&mut self, ms: u32, from_firmware: &[u8], to_firmware: &mut Vec<u8>, room: usize) {
+        let ms = self.begun_ms + ms;
         self.now_ms = ms;
         let episode = self.episode;
         while let Some(event) = episode.events.get(self.next_event).filter(|event| event.at_ms <= ms) {
@@ -433,6 +460,6 @@ impl Host for Operator<'_> {
     }
 
     fn is_over(&self) -> bool {
-        self.stage == Stage::Over
+        self.stage == Stage::Over || self.presses_reset
     }
 }

@@ -110,7 +110,8 @@ pub fn fault(fault: &Fault) -> String {
         }
         Fault::OtherProduct { slave, expected, found } if expected == found => format!(
             "slave {} has the same product code ({found:#010x}) but otherwise another identity: it is from another vendor, \
-             or its information memory is damaged; put the right one back, then acknowledge",
+             or its information memory is damaged, or was damaged as the board first read it; put the right one back, then \
+             acknowledge; if this one is to stay, reset the board",
             one(slave)
         ),
         Fault::OtherProduct { slave, expected, found } => format!(

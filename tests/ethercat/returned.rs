@@ -1,0 +1,81 @@
+//! Slaves that return, and what the master read of them before: a wrong reading, or a slave that was elsewhere, keeps no axis
+//! from coming back.
+
+use crate::rig::{Rig, idle_rig_of, rig};
+use etherpen::ethercat::supervisor::BusEvent;
+use etherpen::robots::AXES;
+use host_tools::cell::{AlState, CellOptions, Fault, SiiFault, SlaveKind};
+
+/// The drives are in OP and answer.
+fn assert_well(rig: &mut Rig<'_>, what: &str) {
+    rig.run_ms(20);
+    for slave in rig.cell.state().slaves.iter().take(AXES) {
+        let state = (slave.al_state, slave.al_status_code);
+        assert_eq!(state, (AlState::Operational, 0), "{what}: {:#?}", rig.log);
+    }
+    assert!(rig.inputs.iter().all(Option::is_some), "{what}: {:#?}", rig.log);
+}
+
+/// Acknowledges until all drives are in OP.
+fn acknowledge(rig: &mut Rig<'_>) {
+    for _ in 0..3 {
+        rig.recover();
+        rig.run_ms(1_000);
+    }
+}
+
+#[test]
+pub(crate) fn a_memory_that_is_damaged_for_a_moment_of_a_repair_is_read_again_by_the_next() {
+    let mut refused = 0;
+    for fault in [SiiFault::Damaged, SiiFault::Blank] {
+        for at_ms in 60..120 {
+            let mut rig = rig("");
+            rig.operational();
+            rig.run_ms(50);
+            rig.cell.inject(Fault::Power(2, 50));
+            rig.run_ms(300);
+            rig.recover();
+            rig.run_ms(at_ms);
+            rig.cell.inject(Fault::Sii(2, fault));
+            rig.run_ms(1);
+            rig.cell.inject(Fault::Sii(2, SiiFault::Whole));
+            rig.run_ms(1_500);
+            refused += usize::from(rig.log.iter().any(|event| matches!(event, BusEvent::Refused { .. })));
+            acknowledge(&mut rig);
+            assert_well(&mut rig, &format!("{fault:?} at {at_ms} ms"));
+        }
+    }
+    println!("{refused} repairs refused");
+    assert!(refused > 0);
+}
+
+#[test]
+pub(crate) fn a_spare_drive_that_was_tried_elsewhere_takes_the_place_of_a_dead_one() {
+    for slave in 1..=AXES {
+        {
+            let mut rig = idle_rig_of(CellOptions {
+                slaves: vec![SlaveKind::Ax2000; AXES + 1],
+                ..CellOptions::default()
+            });
+            rig.cell.inject(Fault::Remove(AXES + 1));
+            rig.run_ms(5);
+            rig.start();
+            rig.operational();
+            rig.run_ms(50);
+            rig.cell.inject(Fault::Insert(AXES + 1));
+            rig.wait_for(1_000, |event| matches!(event, BusEvent::Slave { position: 4, .. }));
+            rig.run_ms(300);
+            rig.cell.inject(Fault::Remove(AXES + 1));
+            rig.run_ms(300);
+            rig.cell.inject(Fault::Remove(slave));
+            rig.run_ms(300);
+            rig.cell.inject(Fault::Power(AXES + 1, 50));
+            rig.cell.inject(Fault::Recable(slave, AXES + 1));
+            rig.run_ms(300);
+            rig.cell.inject(Fault::Insert(slave));
+            rig.run_ms(500);
+            acknowledge(&mut rig);
+            assert_well(&mut rig, &format!("drive {slave}"));
+        }
+    }
+}
