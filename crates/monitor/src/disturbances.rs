@@ -202,11 +202,6 @@ impl Disturbances {
         self.has_false_feedback
     }
 
-    /// When frames or slaves were disturbed last, ms.
-    pub(crate) fn machine_ms(&self) -> Option<u64> {
-        self.machine_ms
-    }
-
     /// Whether frames, slaves or drives are disturbed, or were a moment ago.
     pub(crate) fn machine_disturbed(&self) -> bool {
         self.is_disturbed

@@ -22,8 +22,6 @@ const CATCH_UP_NS: u32 = 110_000;
 /// Most that a clock may gain or lose by repairs while a fault is latched and nothing is disturbed, ns: the way of a frame to
 /// the slave that distributes its time, and as much again.
 const WAITED_NS: u32 = 10_000;
-/// Longest time from a disturbance of slaves or frames to the report of its fault, ms.
-const TOLD_MS: u64 = 1_000;
 /// Time for which nothing must have been disturbed before clocks have to agree, ms.
 const QUIET_MS: u32 = 1_000;
 
@@ -33,8 +31,8 @@ pub(crate) struct Clocks {
     quiet_ms: u32,
     before: Vec<Option<u64>>,
     before_ns: u64,
-    /// When the latched fault was first reported.
-    fault_ms: Option<u64>,
+    /// Whether slaves or frames were disturbed since the clocks last had to agree, and did.
+    may_wait: bool,
     /// What each clock has gained or lost by repairs since something was disturbed, ns.
     repaired_ns: Vec<u32>,
 }
@@ -47,15 +45,12 @@ impl Clocks {
         } else {
             0
         };
-        match scene.orders.mode == Some(Mode::Fault) {
-            true => _ = self.fault_ms.get_or_insert(scene.now_ms()),
-            false => self.fault_ms = None,
-        }
-        let waits = self.fault_ms.is_some_and(|fault_ms| {
-            let disturbed_ms = scene.disturbances.machine_ms();
-            disturbed_ms.is_some_and(|disturbed_ms| disturbed_ms.saturating_add(TOLD_MS) >= fault_ms)
-        });
+        self.may_wait |= scene.disturbances.machine_disturbed();
+        let waits = self.may_wait && scene.orders.mode == Some(Mode::Fault);
         let agreement = if waits { Ok(()) } else { self.agree(moment) };
+        if !waits && self.quiet_ms > QUIET_MS && agreement.is_ok() {
+            self.may_wait = false;
+        }
         let finding = self.jumps(moment, waits).and(agreement);
         self.before.clear();
         self.before.extend_from_slice(moment.clocks.system_ns);
