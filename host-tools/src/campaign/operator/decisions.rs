@@ -70,6 +70,7 @@ impl Operator<'_> {
         let Some(status) = &self.status else { return };
         let (mode, homed, recovering) = (status.mode, status.referenced, status.recovering);
         let is_configured = status.config == self.config.hash();
+        let homes = !homed || self.judge.asks_for_homing();
         if mode == Mode::Idle {
             self.acknowledged = 0;
         }
@@ -87,15 +88,15 @@ impl Operator<'_> {
             }
             Mode::Startup | Mode::BusConfiguring | Mode::DrivesOff if !is_configured => self.configure(),
             Mode::Startup | Mode::BusConfiguring | Mode::Stopping | Mode::Homing | Mode::Moving => {}
-            Mode::DrivesOff if !homed && self.raise_parked() => {}
+            Mode::DrivesOff if homes && self.raise_parked() => {}
             // As the refusal says: the operator has taken the terminal out of OP.
             Mode::DrivesOff if std::mem::take(&mut self.misses_terminal) => self.say(Command::Acknowledge),
             // The axes go to their switches with power.
             Mode::DrivesOff if self.has_switches => self.say(Command::Enable),
-            Mode::Unreferenced | Mode::Idle if self.has_switches && (!homed || self.judge.asks_for_homing()) => {
+            Mode::Unreferenced | Mode::Idle if self.has_switches && homes => {
                 self.say(Command::Home);
             }
-            Mode::DrivesOff | Mode::Unreferenced if !homed || self.judge.asks_for_homing() => self.home(),
+            Mode::DrivesOff | Mode::Unreferenced if homes => self.home(),
             Mode::DrivesOff => self.say(Command::Enable),
             Mode::Unreferenced => self.say(Command::Disable),
             Mode::Idle if self.judge.asks_for_homing() => self.say(Command::Disable),
