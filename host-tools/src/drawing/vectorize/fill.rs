@@ -1,6 +1,6 @@
 //! Lines and tone as one drawing in each style, as dense as the time limit allows.
 
-use super::study::Study;
+use super::study::{MASK_SURE, Study};
 use super::{DRAW_MM_S, Drawing, Stroke, VectorizeOptions, estimate};
 use crate::drawing::edges::{Edge, Flow};
 use crate::drawing::engrave::engrave;
@@ -21,6 +21,10 @@ const COVERAGE_MIN: f32 = 0.13;
 const FACE_GAIN: f32 = 0.9;
 /// How far shade keeps off the lines of a face, as a multiple of the ink they already give.
 const KEPT_OFF: f32 = 2.0;
+/// How far a stroke's neighbours count, widths of the pen, and the coverage around two long strokes at the
+/// thinnest hatching.
+const NEAR_PENS: f64 = 6.0;
+const LONE_COVERAGE: f32 = 0.105;
 /// Rounds of hatching to meet the time limit.
 const TONE_ROUNDS: usize = 3;
 /// Rounds of the other styles to meet the time limit.
@@ -40,11 +44,14 @@ impl Study {
         self.toned(&self.lines(options), options)
     }
 
-    /// Tone along the picture's flow; lines at eyes, nose and mouth alone.
+    /// Tone along the picture's flow; lines at eyes, nose and mouth and along the outline of a portrait alone.
     pub(super) fn flow(&self, options: &VectorizeOptions) -> Drawing {
+        let wanted = self
+            .features
+            .zip(&self.outline, |feature, outline| feature.max(outline / MASK_SURE));
         let lines = self.lines(options).into_iter().filter(|edge| {
-            let at_feature = |point: &&Point| self.features.sample(point[0] as f32, point[1] as f32) > 0.5;
-            2 * edge.points.iter().filter(at_feature).count() > edge.points.len()
+            let is_wanted = |point: &&Point| wanted.sample(point[0] as f32, point[1] as f32) > 0.5;
+            2 * edge.points.iter().filter(is_wanted).count() > edge.points.len()
         });
         self.toned(&lines.collect::<Vec<_>>(), options)
     }
@@ -72,7 +79,7 @@ impl Study {
                     length_min: &length_min,
                     seed: options.seed,
                 };
-                strokes.extend(join_serpentines(&hatch(&goal), &goal));
+                strokes.extend(join_serpentines(&self.without_lone(hatch(&goal)), &goal));
             }
             strokes
         })
@@ -162,11 +169,27 @@ impl Study {
             length_min: &length_min,
             seed: options.seed,
         };
-        let serpentines = join_serpentines(&hatch(&goal), &goal);
+        let serpentines = join_serpentines(&self.without_lone(hatch(&goal)), &goal);
         serpentines
             .iter()
             .map(|points| self.stroke(&line::smoothed(&line::resampled(points, 1.0), 0.9 * self.pen)))
             .collect()
+    }
+
+    /// The strokes without those that stand alone on skin: one line is a scratch, not a shade.
+    fn without_lone(&self, mut strokes: Vec<Vec<Point>>) -> Vec<Vec<Point>> {
+        let mut covered = Plane::filled(self.calm.width(), self.calm.height(), 0.0);
+        strokes
+            .iter()
+            .for_each(|points| draw_line(&mut covered, points, self.pen));
+        let covered = covered.blurred((NEAR_PENS * self.pen) as f32);
+        let bare = self.skin.zip(&self.features, |skin, feature| skin * (1.0 - feature));
+        let mean = |plane: &Plane, points: &[Point]| {
+            let sum: f32 = points.iter().map(|at| plane.sample(at[0] as f32, at[1] as f32)).sum();
+            sum / points.len().max(1) as f32
+        };
+        strokes.retain(|points| mean(&bare, points) < 0.5 || mean(&covered, points) > LONE_COVERAGE);
+        strokes
     }
 
     fn stroke(&self, points: &[Point]) -> Stroke {

@@ -16,10 +16,10 @@ const FINE_PENS: f64 = 0.55;
 const COARSE_PENS: f64 = 1.1;
 const FINE_FACE: f64 = 0.010;
 const COARSE_FACE: f64 = 0.020;
-/// Least strength of lines away from faces, at features, at the rim of a face, and on skin.
+/// Least strength of lines away from faces, at features, at the outline of a portrait, and on skin.
 const STRENGTH: f32 = 0.035;
 const STRENGTH_AT_FEATURES: f32 = 0.018;
-const STRENGTH_AT_RIM: f32 = 0.026;
+const STRENGTH_AT_OUTLINE: f32 = 0.014;
 const STRENGTH_ON_SKIN: f32 = 0.050;
 /// Range of light in a face, of 1, to which a flat one is stretched, and the largest stretch.
 const FACE_RANGE: f32 = 0.75;
@@ -36,15 +36,17 @@ impl Study {
         let high = self.focus.zip(&texture, |face, busy| {
             STRENGTH - 0.015 * face + 0.8 * (1.0 - face) * busy
         });
-        // The rim of a face's oval is where jaw and cheeks end.
-        let rim = self.ovals.map(|oval| 4.0 * oval * (1.0 - oval));
-        let bare = rim.map(|rim| STRENGTH_ON_SKIN + (STRENGTH_AT_RIM - STRENGTH_ON_SKIN) * rim);
-        let in_face = bare.zip(&self.features, |bare, feature| {
-            bare + (STRENGTH_AT_FEATURES - bare) * feature
-        });
+        let in_face = self
+            .features
+            .map(|feature| STRENGTH_ON_SKIN + (STRENGTH_AT_FEATURES - STRENGTH_ON_SKIN) * feature);
+        // A step is drawn on its dark side, which may be the background's.
+        let kept = self.kept.zip(&self.outline, f32::max);
         let high = high
             .mixed(&in_face, &self.skin)
-            .zip(&self.kept, |high, kept| strictness * high / (kept * kept).max(KEPT_MIN));
+            .zip(&self.outline, |high, outline| {
+                high + (STRENGTH_AT_OUTLINE - high).min(0.0) * outline
+            })
+            .zip(&kept, |high, kept| strictness * high / (kept * kept).max(KEPT_MIN));
         let traced = edges::trace_lines(&mixed, &flow, &high, 0.45);
         let joined = edges::join_by_direction(traced, 2.5 * self.pen);
         let mut lines: Vec<Edge> = joined.into_iter().filter_map(|edge| self.finished(edge)).collect();

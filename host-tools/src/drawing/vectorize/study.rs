@@ -22,6 +22,8 @@ const FADE_FROM: f64 = 1.3;
 const FADE_OVER: f64 = 0.9;
 /// Background beside the subject of a portrait.
 const FADE_SHARE: f32 = 0.3;
+/// How sure the edge of the subject is against the rim of a face's oval.
+pub(super) const MASK_SURE: f32 = 0.6;
 /// Lightness of hair and of sure skin, of the median in the face's oval.
 const SKIN_FROM: f32 = 0.45;
 const SKIN_SURE: f32 = 0.66;
@@ -48,6 +50,8 @@ pub(super) struct Study {
     pub(super) skin: Plane,
     /// How much a pixel belongs to eyes, brows, nose or mouth.
     pub(super) features: Plane,
+    /// How much a pixel belongs to the outline of a portrait: the edge of its subject, and of a face's oval.
+    pub(super) outline: Plane,
     /// Share of what is drawn that the background leaves, 0 to 1.
     pub(super) kept: Plane,
     /// Lightness without noise, 0 to 1.
@@ -92,6 +96,7 @@ impl Study {
         };
         // A face is never part of the background.
         let kept = kept(subject, &faces, [width, height], options.background).zip(&ovals, f32::max);
+        let outline = outline(subject, &faces, &ovals);
         let features = features(width, height, &faces);
         let radius = faces.first().map_or(0.0, |face| face.radius);
         let skin = skin(&calm, &ovals, &with_neck, radius);
@@ -113,6 +118,7 @@ impl Study {
             ovals,
             skin,
             features,
+            outline,
             kept,
             calm,
             ink,
@@ -206,6 +212,32 @@ fn features(width: usize, height: usize, faces: &[Face]) -> Plane {
     })
 }
 
+/// How much each pixel belongs to the edge of a portrait's subject or to the rim of a face's oval, where jaw and cheeks end:
+/// 0 to 1.
+fn outline(subject: &Subject, faces: &[Face], ovals: &Plane) -> Plane {
+    let rim = ovals.map(at_edge);
+    let size = [rim.width(), rim.height()];
+    match subject.mask.as_ref().filter(|_| is_portrait(faces, size)) {
+        Some(mask) => rim.zip(&of_size(mask, size), |rim, inside| rim.max(MASK_SURE * at_edge(inside))),
+        None => rim,
+    }
+}
+
+/// 1 where a share is a half, 0 where it is whole or nothing.
+fn at_edge(share: f32) -> f32 {
+    4.0 * share * (1.0 - share)
+}
+
+/// A plane in another size.
+fn of_size(plane: &Plane, [width, height]: [usize; 2]) -> Plane {
+    let scale = [
+        plane.width() as f32 / width as f32,
+        plane.height() as f32 / height as f32,
+    ];
+    let place = |at: usize, k: usize| (at as f32 + 0.5) * scale[k] - 0.5;
+    Plane::from_fn(width, height, |x, y| plane.sample(place(x, 0), place(y, 1)))
+}
+
 /// Share of what is drawn that the background leaves. A scene around a small face does not fade: it is the picture.
 fn kept(subject: &Subject, faces: &[Face], [width, height]: [usize; 2], background: Background) -> Plane {
     let is_whole = match background {
@@ -216,11 +248,9 @@ fn kept(subject: &Subject, faces: &[Face], [width, height]: [usize; 2], backgrou
     let Some(mask) = subject.mask.as_ref().filter(|_| !is_whole) else {
         return Plane::filled(width, height, 1.0);
     };
-    let scale = [width, height].map(|side| side as f32);
-    let scale = [mask.width() as f32 / scale[0], mask.height() as f32 / scale[1]];
+    let mask = of_size(mask, [width, height]);
     Plane::from_fn(width, height, |x, y| {
-        let inside = mask.sample((x as f32 + 0.5) * scale[0] - 0.5, (y as f32 + 0.5) * scale[1] - 0.5);
-        let inside = ((inside - 0.25) / 0.5).clamp(0.0, 1.0);
+        let inside = ((mask.at(x as isize, y as isize) - 0.25) / 0.5).clamp(0.0, 1.0);
         if background == Background::None {
             return inside;
         }
