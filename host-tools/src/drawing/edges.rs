@@ -144,8 +144,8 @@ pub(crate) fn line_strength(light: &Plane, flow: &Flow, sigma: f32) -> Plane {
             for _ in 0..FLOW_REACH {
                 at = [at[0] + along[0], at[1] + along[1]];
                 sum += across.sample(at[0], at[1]);
-                let column = (at[0].round().max(0.0) as usize).min(width - 1);
-                let row = (at[1].round().max(0.0) as usize).min(height - 1);
+                let nearest = |value: f32| (value + 0.5).max(0.0) as i32 as usize;
+                let (column, row) = (nearest(at[0]).min(width - 1), nearest(at[1]).min(height - 1));
                 let [tx, ty] = tangents[row * width + column];
                 along = if tx * along[0] + ty * along[1] < 0.0 {
                     [-tx, -ty]

@@ -88,13 +88,18 @@ impl Plane {
     pub(crate) fn sample(&self, x: f32, y: f32) -> f32 {
         let x = x.clamp(0.0, (self.width - 1) as f32);
         let y = y.clamp(0.0, (self.height - 1) as f32);
-        let (left, top) = (x as usize, y as usize);
-        let (right, bottom) = ((left + 1).min(self.width - 1), (top + 1).min(self.height - 1));
+        // Conversions to 32 bits are the fast ones.
+        let (left, top) = (x as i32, y as i32);
         let (u, v) = (x - left as f32, y - top as f32);
-        let (upper, lower) = (top * self.width, bottom * self.width);
-        let above = self.values[upper + left] * (1.0 - u) + self.values[upper + right] * u;
-        let below = self.values[lower + left] * (1.0 - u) + self.values[lower + right] * u;
-        above * (1.0 - v) + below * v
+        let (left, top) = (left as usize, top as usize);
+        let right = usize::from(left + 1 < self.width);
+        let below = if top + 1 < self.height { self.width } else { 0 };
+        let first = top * self.width + left;
+        let row = |from: usize| {
+            let pair = &self.values[from..=from + right];
+            pair[0] * (1.0 - u) + pair[right] * u
+        };
+        row(first) * (1.0 - v) + row(first + below) * v
     }
 
     /// A plane with `f` applied to every value.

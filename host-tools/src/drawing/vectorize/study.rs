@@ -179,12 +179,17 @@ fn on_face(light: &Plane, calm: &Plane, ovals: &Plane, features: &Plane, radius:
     shade.zip(&dark, f32::max)
 }
 
+/// Squared length.
+fn squared([across, down]: [f64; 2]) -> f64 {
+    across * across + down * down
+}
+
 /// How near each pixel is to a face, 0 to 1.
 fn nearness(width: usize, height: usize, faces: &[Face]) -> Plane {
     Plane::from_fn(width, height, |x, y| {
         let near = faces.iter().map(|face| {
             let [across, down] = face.relative([x as f64, y as f64]);
-            1.0 / (1.0 + (across.hypot((down + 0.1) / 1.2) as f32 / 1.5).powi(6))
+            1.0 / (1.0 + (squared([across, (down + 0.1) / 1.2]) as f32 / 2.25).powi(3))
         });
         near.fold(0.0, f32::max)
     })
@@ -198,7 +203,7 @@ fn features(width: usize, height: usize, faces: &[Face]) -> Plane {
             let here = face.relative(at);
             let bell = |place: [f64; 2], size: [f64; 2]| {
                 let away = [0, 1].map(|k| (here[k] - place[k]) / size[k]);
-                (1.0 / (1.0 + away[0].hypot(away[1]).powi(6))) as f32
+                (1.0 / (1.0 + squared(away).powi(3))) as f32
             };
             let eyes = face.eyes.map(|eye| face.relative(eye));
             let mouth = face.relative(face.mouth);
@@ -255,11 +260,8 @@ fn kept(subject: &Subject, faces: &[Face], [width, height]: [usize; 2], backgrou
             return inside;
         }
         let at = [x as f64, y as f64];
-        let away = faces.iter().map(|face| {
-            let [across, down] = face.relative(at);
-            across.hypot(down)
-        });
-        let away = away.fold(f64::INFINITY, f64::min);
+        let away = faces.iter().map(|face| squared(face.relative(at)));
+        let away = away.fold(f64::INFINITY, f64::min).sqrt();
         let outside = FADE_SHARE * (-(away - FADE_FROM).max(0.0) / FADE_OVER).exp() as f32;
         inside + (1.0 - inside) * outside
     })
