@@ -189,4 +189,6 @@ fn keep_within(drawing: &mut Drawing, options: &VectorizeOptions) {
 }
 
 #[cfg(test)]
+mod outline_tests;
+#[cfg(test)]
 mod tests;

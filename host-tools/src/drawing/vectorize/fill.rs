@@ -177,7 +177,7 @@ impl Study {
     }
 
     /// The strokes without those that stand alone on skin: one line is a scratch, not a shade.
-    fn without_lone(&self, mut strokes: Vec<Vec<Point>>) -> Vec<Vec<Point>> {
+    pub(super) fn without_lone(&self, mut strokes: Vec<Vec<Point>>) -> Vec<Vec<Point>> {
         let mut covered = Plane::filled(self.calm.width(), self.calm.height(), 0.0);
         strokes
             .iter()
