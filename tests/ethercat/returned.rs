@@ -1,10 +1,11 @@
 //! Slaves that return, and what the master read of them before: a wrong reading, or a slave that was elsewhere, keeps no axis
 //! from coming back.
 
-use crate::rig::{Rig, idle_rig_of, rig};
+use crate::rig::{Rig, rig};
+use crate::slave_faults::with_a_spare_drive;
 use etherpen::ethercat::supervisor::BusEvent;
 use etherpen::robots::AXES;
-use host_tools::cell::{AlState, CellOptions, Fault, SiiFault, SlaveKind};
+use host_tools::cell::{AlState, Fault, SiiFault};
 
 /// The drives are in OP and answer.
 fn assert_well(rig: &mut Rig<'_>, what: &str) {
@@ -52,30 +53,18 @@ pub(crate) fn a_memory_that_is_damaged_for_a_moment_of_a_repair_is_read_again_by
 #[test]
 pub(crate) fn a_spare_drive_that_was_tried_elsewhere_takes_the_place_of_a_dead_one() {
     for slave in 1..=AXES {
-        {
-            let mut rig = idle_rig_of(CellOptions {
-                slaves: vec![SlaveKind::Ax2000; AXES + 1],
-                ..CellOptions::default()
-            });
-            rig.cell.inject(Fault::Remove(AXES + 1));
-            rig.run_ms(5);
-            rig.start();
-            rig.operational();
-            rig.run_ms(50);
-            rig.cell.inject(Fault::Insert(AXES + 1));
-            rig.wait_for(1_000, |event| matches!(event, BusEvent::Slave { position: 4, .. }));
-            rig.run_ms(300);
-            rig.cell.inject(Fault::Remove(AXES + 1));
-            rig.run_ms(300);
-            rig.cell.inject(Fault::Remove(slave));
-            rig.run_ms(300);
-            rig.cell.inject(Fault::Power(AXES + 1, 50));
-            rig.cell.inject(Fault::Recable(slave, AXES + 1));
-            rig.run_ms(300);
-            rig.cell.inject(Fault::Insert(slave));
-            rig.run_ms(500);
-            acknowledge(&mut rig);
-            assert_well(&mut rig, &format!("drive {slave}"));
-        }
+        let mut rig = with_a_spare_drive();
+        rig.run_ms(300);
+        rig.cell.inject(Fault::Remove(AXES + 1));
+        rig.run_ms(300);
+        rig.cell.inject(Fault::Remove(slave));
+        rig.run_ms(300);
+        rig.cell.inject(Fault::Power(AXES + 1, 50));
+        rig.cell.inject(Fault::Recable(slave, AXES + 1));
+        rig.run_ms(300);
+        rig.cell.inject(Fault::Insert(slave));
+        rig.run_ms(500);
+        acknowledge(&mut rig);
+        assert_well(&mut rig, &format!("drive {slave}"));
     }
 }

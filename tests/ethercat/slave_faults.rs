@@ -541,8 +541,8 @@ pub(crate) fn a_coupler_that_nobody_uses_is_recognised_after_a_loss_of_its_power
     }
 }
 
-#[test]
-pub(crate) fn an_extra_slave_is_reported_and_gets_no_process_data() {
+/// Four drives in OP, and a fifth one behind them that has been reported.
+pub(crate) fn with_a_spare_drive() -> Rig<'static> {
     let mut rig = idle_rig_of(CellOptions {
         slaves: vec![SlaveKind::Ax2000; AXES + 1],
         ..CellOptions::default()
@@ -560,6 +560,12 @@ pub(crate) fn an_extra_slave_is_reported_and_gets_no_process_data() {
         )
     });
     println!("reported after {took_ms} ms");
+    rig
+}
+
+#[test]
+pub(crate) fn an_extra_slave_is_reported_and_gets_no_process_data() {
+    let mut rig = with_a_spare_drive();
     for _ in 0..500 {
         rig.millisecond();
         assert!(rig.inputs.iter().all(Option::is_some));

@@ -45,18 +45,23 @@ impl Step {
     }
 }
 
+/// A step in which Miri runs unit tests.
+fn miri(name: &str, tests: &str) -> Step {
+    Step {
+        environment: &[("MIRIFLAGS", "-Zmiri-ignore-leaks")],
+        ..Step::new(name, &format!("+nightly miri test {tests}"))
+    }
+}
+
 /// All steps, the shorter ones first.
 fn steps() -> Vec<Step> {
     let mut steps = vec![
         Step::new("models", "test --release --manifest-path models/Cargo.toml"),
-        Step {
-            environment: &[("MIRIFLAGS", "-Zmiri-ignore-leaks")],
-            ..Step::new(
-                "miri",
-                "+nightly miri test -p etherpen-ethercat --lib -- exchange_tests encapsulation_tests telegram acyclic \
-                 frame_port",
-            )
-        },
+        miri(
+            "miri-ethercat",
+            "-p etherpen-ethercat --lib -- exchange_tests encapsulation_tests telegram acyclic frame_port",
+        ),
+        miri("miri-drives", "-p etherpen-drives --lib"),
         Step::new("advisories", "deny check"),
         Step::new(
             "limits",

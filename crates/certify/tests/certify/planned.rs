@@ -44,10 +44,12 @@ struct Tally {
     counts: [u64; 3],
     refused: BTreeMap<String, u64>,
     stretches: usize,
+    /// What is not known: a bound or a refusal beyond the excesses.
+    unknown: Vec<String>,
 }
 
 impl Tally {
-    /// Adds a certificate; checks that it refuses nothing but what is known.
+    /// Adds a certificate; keeps what it refuses beyond what is known.
     fn add(&mut self, name: &str, certificate: &Certificate) {
         let class = match (certificate.violations, certificate.undecided) {
             (0, 0) => 0,
@@ -61,7 +63,9 @@ impl Tally {
             *most = (most.0.max(used.least), most.1.max(used.most));
             let allowed = 1.0 + excess(*quantity) + 1.0e-3;
             let bound = *quantity != Quantity::AveragedTolerance;
-            assert!(!bound || used.most <= allowed, "{name}: {quantity} uses {used:?}");
+            if bound && used.most > allowed {
+                self.unknown.push(format!("{name}: {quantity} uses {used:?}"));
+            }
         }
         let mut kinds: Vec<String> = certificate
             .refusals
@@ -78,8 +82,15 @@ impl Tally {
                 Kind::Violated => excess(refusal.quantity) > EXCESS,
                 Kind::NotProved => refusal.quantity == Quantity::AveragedTolerance,
             };
-            assert!(known, "{name}: {refusal:?}");
+            if !known {
+                self.unknown.push(format!("{name}: {refusal:?}"));
+            }
         }
+    }
+
+    /// Checks that nothing was refused but what is known.
+    fn assert_known(&self) {
+        assert!(self.unknown.is_empty(), "{:#?}", self.unknown);
     }
 
     fn show(&self, name: &str) {
@@ -103,6 +114,7 @@ fn the_samples_keep_their_limits_but_for_peaks_of_the_acceleration() {
         tally.add(name, &certificate);
     }
     tally.show("small samples");
+    tally.assert_known();
     let circle = certify(&Settings::default(), &sample(SAMPLES[0].1), EXCESS, |_| ());
     assert!(circle.is_proved());
 }
@@ -116,6 +128,7 @@ fn the_large_samples_keep_their_limits_but_for_peaks_of_the_acceleration() {
         let mut tally = Tally::default();
         tally.add(name, &certificate);
         tally.show(name);
+        tally.assert_known();
     }
 }
 
@@ -151,6 +164,7 @@ fn hidden_limits(kind: RobotKind) {
         }
     }
     tally.show("hidden limits");
+    tally.assert_known();
     assert!(found > 0);
 }
 
@@ -171,6 +185,7 @@ fn random_paths(kind: RobotKind, seeds: std::ops::Range<u64>) {
         }
     }
     tally.show("random paths");
+    tally.assert_known();
     let [proved, _, undecided] = tally.counts;
     // The bound of what the average adds is coarser on short links.
     let (most_undecided, least_proved) = if kind == RobotKind::Delta {
