@@ -93,7 +93,7 @@ again! {
         an_emergency_is_fetched_reported_and_kept_for_who_asks;
     returned [crate::returned]
         a_memory_that_is_damaged_for_a_moment_of_a_repair_is_read_again_by_the_next,
-        a_spare_drive_that_was_tried_elsewhere_takes_the_place_of_a_dead_one;
+        an_extra_drive_takes_no_axis_whose_own_drive_is_back;
     terminals [crate::terminals]
         terminals_of_any_chain_exchange_their_bits_beside_the_drives,
         a_terminal_that_fails_disturbs_no_drive_and_comes_back_on_command,

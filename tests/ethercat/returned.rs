@@ -51,20 +51,25 @@ pub(crate) fn a_memory_that_is_damaged_for_a_moment_of_a_repair_is_read_again_by
 }
 
 #[test]
-pub(crate) fn a_spare_drive_that_was_tried_elsewhere_takes_the_place_of_a_dead_one() {
-    for slave in 1..=AXES {
+pub(crate) fn an_extra_drive_takes_no_axis_whose_own_drive_is_back() {
+    // The extra one stands before the last drive, and both lose their power together.
+    for lasts_ms in [50, 300] {
         let mut rig = with_a_spare_drive();
         rig.run_ms(300);
         rig.cell.inject(Fault::Remove(AXES + 1));
         rig.run_ms(300);
-        rig.cell.inject(Fault::Remove(slave));
+        rig.cell.inject(Fault::Recable(AXES, AXES + 1));
         rig.run_ms(300);
-        rig.cell.inject(Fault::Power(AXES + 1, 50));
-        rig.cell.inject(Fault::Recable(slave, AXES + 1));
-        rig.run_ms(300);
-        rig.cell.inject(Fault::Insert(slave));
+        rig.cell.inject(Fault::Insert(AXES + 1));
         rig.run_ms(500);
         acknowledge(&mut rig);
-        assert_well(&mut rig, &format!("drive {slave}"));
+        for slave in [AXES, AXES + 1] {
+            rig.cell.inject(Fault::Power(slave, lasts_ms));
+        }
+        rig.run_ms(600);
+        acknowledge(&mut rig);
+        let state = |rig: &Rig<'_>, slave: usize| rig.cell.state().slaves[slave - 1].al_state;
+        assert_eq!(state(&rig, AXES + 1), AlState::Operational, "{:#?}", rig.log);
+        assert!(state(&rig, AXES) < AlState::SafeOperational, "{:#?}", rig.log);
     }
 }

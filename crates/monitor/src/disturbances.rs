@@ -48,6 +48,8 @@ pub(crate) struct Disturbances {
     /// Whether a feedback was not true in the search, and since the last order to search.
     is_search_false: bool,
     is_order_false: bool,
+    /// Whether an order to search is not answered.
+    is_search_asked: bool,
     feedback_ms: Option<u64>,
     machine_ms: Option<u64>,
     opened_ms: Option<u64>,
@@ -143,12 +145,13 @@ impl Disturbances {
                     search => search,
                 };
                 // One that goes on is refused when it is ordered again, and stays what it was.
-                self.is_order_false = self.feedback.contains(&true);
+                let asked = std::mem::replace(&mut self.is_search_asked, true);
+                self.is_order_false = self.feedback.contains(&true) || asked && self.is_order_false;
                 self.is_search_false = self.is_order_false || !begins && self.is_search_false;
             }
             Input::Restarted => {
                 (self.misreferenced, self.before_homing) = (false, None);
-                self.search = Search::None;
+                (self.search, self.is_search_asked) = (Search::None, false);
             }
             _ => {}
         }
@@ -156,11 +159,18 @@ impl Disturbances {
 
     pub(crate) fn hear(&mut self, report: &Report) {
         match report {
-            Report::Refused(Command::Search) if matches!(self.search, Search::Ordered(_)) => self.search = Search::None,
+            Report::Refused(Command::Search) => {
+                self.is_search_asked = false;
+                if matches!(self.search, Search::Ordered(_)) {
+                    self.search = Search::None;
+                }
+            }
             // It is a new search: an order that is repeated in one is refused. A stop may have ended the one before.
             Report::Accepted(Command::Search) => {
-                self.search = Search::Accepted(self.now_ms);
-                self.is_search_false = self.is_order_false;
+                if self.search != Search::UnderWay {
+                    self.search = Search::Accepted(self.now_ms);
+                }
+                (self.is_search_false, self.is_search_asked) = (self.is_order_false, false);
             }
             Report::Mode(Mode::Homing) if self.search != Search::UnderWay => {
                 self.search = Search::Accepted(self.now_ms);

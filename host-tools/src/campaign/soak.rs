@@ -158,6 +158,10 @@ fn soak(seed: u64, hours: f64) -> Vec<u64> {
     let passed_ms = simulation::run(&mut world, &mut watched, duration_ms + ENDING_MS);
     let (portraits, events) = (watched.finished.1, episode.events.len());
     println!("seed {seed}: {passed_ms} ms, {events} events, {portraits} portraits");
+    assert!(
+        !watched.operator.presses_reset(),
+        "seed {seed}: nothing but a reset helps"
+    );
     let failure = watched.operator.into_failure();
     assert_eq!(failure, None, "seed {seed}, {passed_ms} of {duration_ms} ms");
     assert!(

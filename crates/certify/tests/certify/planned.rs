@@ -63,7 +63,9 @@ impl Tally {
             *most = (most.0.max(used.least), most.1.max(used.most));
             let allowed = 1.0 + excess(*quantity) + 1.0e-3;
             let bound = *quantity != Quantity::AveragedTolerance;
-            if bound && used.most > allowed {
+            // Bounds that are no numbers too.
+            let is_within = used.most <= allowed;
+            if bound && !is_within {
                 self.unknown.push(format!("{name}: {quantity} uses {used:?}"));
             }
         }

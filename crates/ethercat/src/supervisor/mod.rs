@@ -416,7 +416,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
 
     /// Repairs a slave; restarts when another slave needs attention.
     async fn repair_guarded(&mut self, number: usize) -> Result<Result<(), Failure>, Interruption> {
-        let mut silent = SlaveSet::ALL;
+        let mut silent: Option<SlaveSet> = None;
         for _ in 0..REPAIR_TRIES_MAX {
             let Self { bus, inbox, .. } = self;
             bus.work_on(Some(number)).await;
@@ -434,16 +434,17 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             };
             // Without replies, or while slaves are away, nobody knows who is silent.
             let all_there = inbox.seen.filter(|seen| !seen.silent && seen.al.slaves == there);
-            silent = all_there.map_or(SlaveSet::NONE, |seen| {
-                silent.without(SlaveSet::ALL.without(exchanging.without(seen.answered)))
-            });
+            if let Some(seen) = all_there {
+                let others = SlaveSet::ALL.without(exchanging.without(seen.answered));
+                silent = Some(silent.unwrap_or(SlaveSet::ALL).without(others));
+            }
             bus.work_on(None).await;
             match result {
                 Err(Interruption::Bus) => self.inspect_all().await,
                 done => return done,
             }
         }
-        self.doubt(silent).await;
+        self.doubt(silent.unwrap_or(SlaveSet::NONE)).await;
         let error = BusError::SlaveCount {
             expected: self.bus.slaves.len() as u16,
             actual: self.inbox.slaves(),

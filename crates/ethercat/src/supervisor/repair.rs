@@ -127,6 +127,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         // Another one, or what was read before was wrong.
         let is_new = fixed != slave.fixed;
         if is_new {
+            // Whatever ends this repair, the slave is not resumed with the settings that it came with.
+            state::change(&mut self.port, station, AlState::Init).await?;
             self.clocks.was_off(number);
             self.take_place(number, fixed, known);
         }
@@ -468,12 +470,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 actual: new.product,
             });
         }
-        // An extra slave that has gone again may have been put here: a spare that was tried at the chain's end.
-        let has_gone = |other: &Slave<F>| {
-            usize::from(other.position) >= self.ordered && !other.is_used() && other.condition == Condition::Lost
-        };
-        let others = self.slaves.iter();
-        let mut others = others.filter(|other| other.position != slave.position && !has_gone(other));
+        let mut others = self.slaves.iter().filter(|other| other.position != slave.position);
         let elsewhere = others.find(|other| {
             let other = other.identity();
             (other.vendor, other.product, other.serial) == (new.vendor, new.product, new.serial)

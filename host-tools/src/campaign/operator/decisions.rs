@@ -144,8 +144,8 @@ impl Operator<'_> {
         }
     }
 
-    /// Whether everything is healed and at its place, and the fault says that then only a reset helps: the board first saw
-    /// the slaves exchanged, or read a damaged memory.
+    /// Whether everything is healed and at its place, and only a reset helps, as the fault says: the board first saw the slaves
+    /// exchanged, or read a damaged memory.
     fn needs_reset(&self) -> bool {
         let fault = self.status.as_ref().and_then(|status| status.fault);
         let is_of_first_sight = match fault {
@@ -155,7 +155,7 @@ impl Operator<'_> {
             }
             _ => false,
         };
-        is_of_first_sight && self.stage != Stage::Free && self.resets < RESETS_MAX
+        is_of_first_sight && self.misled_at_first && self.stage != Stage::Free && self.resets < RESETS_MAX
     }
 
     /// Whether the drawing has not advanced for long.

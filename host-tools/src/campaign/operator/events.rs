@@ -3,7 +3,7 @@
 use super::super::episode::{Event, FileUse, What};
 use super::super::judge::product;
 use super::{Board, FIRST_BESIDE, Operator};
-use crate::cell::{Fault, Product};
+use crate::cell::{Fault, Product, SiiFault};
 use etherpen::ethercat::diagnostics::{FileRequest, Name, Piece, ServiceRequest};
 use etherpen::ethercat::state::AlState;
 use etherpen::link::frame::{FRAME_BYTES_MAX, decode, encode};
@@ -34,9 +34,13 @@ impl Operator<'_> {
                     4 => AlState::SafeOperational,
                     _ => AlState::Operational,
                 };
+                self.judge.serviced();
                 self.session.bus(ServiceRequest::SetState { slave: *slave, state });
             }
-            What::File(slave, file) => self.use_file(*slave, file),
+            What::File(slave, file) => {
+                self.judge.serviced();
+                self.use_file(*slave, file);
+            }
             What::Reconnect => self.reconnect(),
             What::Unplug(duration_ms) => {
                 self.up.unplug(until(*duration_ms));
@@ -90,6 +94,9 @@ impl Operator<'_> {
             Fault::Recable(one, other) => self.recabled.push((one, other)),
             _ => {}
         }
+        let misleads =
+            matches!(fault, Fault::Recable(..)) || matches!(fault, Fault::Sii(_, kind) if kind != SiiFault::Whole);
+        self.misled_at_first |= misleads && !self.has_been_ready;
         self.world.inject(fault);
         self.judge.injected(fault, 1, self.now_ms);
     }

@@ -90,6 +90,9 @@ pub(super) struct Operator<'e> {
     begun_ms: u32,
     resets: u32,
     presses_reset: bool,
+    /// Whether the board has reported its slaves as ready, and whether memories were faulty or slaves exchanged before.
+    has_been_ready: bool,
+    misled_at_first: bool,
     now_ms: u32,
     stage: Stage,
     next_event: usize,
@@ -151,6 +154,8 @@ impl<'e> Operator<'e> {
             begun_ms: 0,
             resets: 0,
             presses_reset: false,
+            has_been_ready: false,
+            misled_at_first: false,
             now_ms: 0,
             stage: Stage::Free,
             next_event: 0,
@@ -367,6 +372,7 @@ impl<'e> Operator<'e> {
             }
             LinkEvent::Status(status) => {
                 self.judge.reported(&status);
+                self.has_been_ready |= !matches!(status.mode, Mode::Startup | Mode::BusConfiguring | Mode::Fault);
                 self.status = Some(status);
             }
             LinkEvent::Restarted => self.reconnect(),
