@@ -46,7 +46,7 @@ pub mod vector;
 mod violation;
 
 pub use cell::{AXES_MAX, Cell, JointLimits, Paper, WorkArea};
-pub use moment::{Clocks, Command, Count, Input, Joint, Mode, Moment, POSE_AXES, Report, WireFrame};
+pub use moment::{Clocks, Command, Count, Input, Joint, Mode, Moment, Notice, POSE_AXES, Report, WireFrame};
 pub use monitor::Monitor;
 pub use robot::Robot;
 pub use violation::{Rule, Violation};

@@ -126,6 +126,17 @@ pub enum Input {
     },
     /// The controller has restarted: everything that it was told is forgotten.
     Restarted,
+    /// A fault began that the controller can notice, because nothing else is disturbed.
+    Noticeable {
+        /// What happened.
+        what: &'static str,
+        /// When it has to be reported, ms.
+        by_ms: u64,
+        /// How it has to be reported.
+        notice: Notice,
+    },
+    /// Something happened that may hide what [`Input::Noticeable`] told.
+    Hidden,
     /// Number of events, so far, that a counter of this name must show at the end. Replaces an earlier number.
     Expected {
         /// Name of the counter.
@@ -133,6 +144,15 @@ pub enum Input {
         /// Events so far.
         count: u64,
     },
+}
+
+/// How the controller has to report a fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Notice {
+    /// With any latched fault.
+    Fault,
+    /// With joint angles that are not known.
+    Unhomed,
 }
 
 /// Operating mode.

@@ -37,11 +37,13 @@ pub enum Rule {
     Counters,
     /// Every frame of the master is well-formed EtherCAT.
     Wire,
+    /// A fault that the controller can notice is reported in time.
+    Noticed,
 }
 
 impl Rule {
     /// All rules.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 17] = [
         Self::Speed,
         Self::Acceleration,
         Self::Area,
@@ -58,6 +60,7 @@ impl Rule {
         Self::Finished,
         Self::Counters,
         Self::Wire,
+        Self::Noticed,
     ];
 
     /// Its name, one word.
@@ -80,6 +83,7 @@ impl Rule {
             Self::Finished => "finished",
             Self::Counters => "counters",
             Self::Wire => "wire",
+            Self::Noticed => "noticed",
         }
     }
 
@@ -105,6 +109,7 @@ impl Rule {
             Self::Finished => "A drawing that is reported as finished has all of its ink.",
             Self::Counters => "Counters never go backwards, and count what happened.",
             Self::Wire => "Every frame of the master is well-formed EtherCAT.",
+            Self::Noticed => "A fault that the controller can notice is reported in time.",
         }
     }
 }

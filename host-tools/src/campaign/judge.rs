@@ -3,6 +3,7 @@
 //! Nothing is judged here. Commands are taken from the bytes that reached the board, after the line's noise.
 
 mod bounds;
+mod notices;
 
 use super::Rule;
 use super::machine::Chain;
@@ -17,6 +18,7 @@ use etherpen::motion::Pen;
 use etherpen::robots::AXES;
 use etherpen_monitor as monitor;
 use monitor::{Count, Input, Joint, Moment, Monitor, Report, WireFrame};
+use notices::Notices;
 
 /// Most frames of a millisecond that are judged.
 const FRAMES_MAX: usize = 16;
@@ -80,10 +82,12 @@ pub(super) struct Judge {
     /// The drawing that the operator orders, until its order reaches the board.
     ordered: Option<(u16, Vec<Input>)>,
     finished: Option<u16>,
+    notices: Notices,
 }
 
 impl Judge {
     pub(super) fn new(config: &Config) -> Self {
+        let chain = Chain::new(config);
         Self {
             monitor: Monitor::new(bounds::cell(config)),
             inputs: Vec::new(),
@@ -99,7 +103,8 @@ impl Judge {
             offered: [false; AXES],
             shown: [false; AXES],
             axes: config.bus.drives.into(),
-            chain: Chain::new(config),
+            notices: Notices::new(config, &chain),
+            chain,
             has_switches: config.has_home_switches(),
             searches: false,
             products: config.axes.each_ref().map(product),
@@ -122,6 +127,7 @@ impl Judge {
         (self.decoder, self.interlocks) = (Box::default(), Interlocks::default());
         (self.searches, self.configured) = (false, false);
         (self.ordered, self.finished) = (None, None);
+        self.notices = Notices::new(config, &self.chain);
     }
 
     /// Takes bytes that reached the board.
@@ -158,6 +164,7 @@ impl Judge {
 
     /// A command has reached the board. The path of a drawing follows its order.
     fn reached(&mut self, command: &Command) {
+        self.notices.commanded(command);
         self.inputs.extend(self.command_of(command).map(Input::Commanded));
         if matches!(command, Command::Home | Command::HomeAt { .. }) {
             self.offered = self.untrue.map(|disturbances| disturbances == 0);
@@ -202,6 +209,7 @@ impl Judge {
 
     /// A status has arrived.
     pub(super) fn reported(&mut self, status: &Status) {
+        self.notices.reported(status, &self.chain);
         self.reports.push(Report::Mode(mode_of(status.mode)));
         self.in_mode(status.mode, status.referenced);
         self.reports
@@ -234,6 +242,8 @@ impl Judge {
 
     /// A fault of the segment begins; a fault of frames hits `count` of them.
     pub(super) fn injected(&mut self, fault: Fault, count: u32, now_ms: u32) {
+        self.inputs.push(Input::Hidden);
+        let noticeable = self.notices.of(fault, now_ms.into(), &self.chain);
         match fault {
             Fault::Resolver(slave, _, 0) => self.true_again(slave),
             Fault::Resolver(slave, kind, lasts_ms) => {
@@ -289,6 +299,13 @@ impl Judge {
             // At least one frame travels in a millisecond.
             _ => self.disturbed(now_ms, Some(count.into())),
         }
+        self.inputs.extend(noticeable);
+    }
+
+    /// The operator uses a service of the bus.
+    pub(super) fn serviced(&mut self) {
+        self.notices.serviced();
+        self.inputs.push(Input::Hidden);
     }
 
     /// The drive that belongs at a slave's place.
@@ -356,6 +373,8 @@ impl Judge {
     /// The machine is disturbed for some milliseconds, or until it is healed.
     pub(super) fn disturbed(&mut self, now_ms: u32, lasts_ms: Option<u64>) {
         self.disturbances += 1;
+        self.notices.disturbed();
+        self.inputs.push(Input::Hidden);
         self.inputs.push(Input::Machine { disturbed: true });
         if let Some(lasts_ms) = lasts_ms {
             self.ends_after(now_ms, lasts_ms, Input::Machine { disturbed: false });
@@ -386,6 +405,7 @@ impl Judge {
         self.ends.clear();
         self.open.clear();
         (self.disturbances, self.untrue) = (0, [0; AXES]);
+        self.inputs.push(Input::Hidden);
         for axis in 0..self.axes {
             self.inputs.push(Input::Feedback { axis, disturbed: false });
             self.inputs.push(Input::Drive { axis, deaf: false });
@@ -433,6 +453,15 @@ impl Judge {
     ) -> Result<(), (Rule, String)> {
         let now_ms = u64::from(ms);
         self.end_disturbances(now_ms);
+        let is_disturbed = self.disturbances > 0
+            || self.untrue.iter().any(|disturbances| *disturbances > 0)
+            || interlocks.clock_failed;
+        self.notices.step(
+            now_ms,
+            is_disturbed,
+            interlocks.stop_open,
+            truth.has_power.contains(&true),
+        );
         let inputs = &mut self.inputs;
         let before = std::mem::replace(&mut self.interlocks, interlocks);
         inputs.extend((before.stop_open != interlocks.stop_open).then_some(Input::StopInput(interlocks.stop_open)));

@@ -10,6 +10,7 @@ mod counters;
 mod finished;
 mod following;
 mod mode;
+mod noticed;
 mod pen;
 mod permission;
 mod power;
@@ -40,12 +41,14 @@ pub(crate) struct Rules {
     finished: finished::Finished,
     counters: counters::Counters,
     wire: wire::Wire,
+    noticed: noticed::Noticed,
 }
 
 impl Rules {
     /// Takes an input.
     pub(crate) fn take(&mut self, input: &Input) {
         self.counters.take(input);
+        self.noticed.take(input);
         if *input == Input::Configured {
             self.area = area::Area::default();
         }
@@ -70,6 +73,7 @@ impl Rules {
             self.finished.check(scene),
             self.counters.check(scene),
             self.wire.check(scene),
+            self.noticed.check(scene),
         ];
         findings.into_iter().find(Result::is_err).unwrap_or(Ok(()))
     }

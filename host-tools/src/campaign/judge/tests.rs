@@ -1,5 +1,7 @@
 use super::super::trouble;
 use super::*;
+use etherpen::board::PortState;
+use etherpen::messages::Counters;
 
 fn fault(words: &str) -> Fault {
     words.parse().expect("words of the script")
@@ -110,4 +112,45 @@ fn a_search_shows_nothing_about_an_encoder_that_is_mounted_while_it_goes_on() {
         judge.in_mode(Mode::Idle, true);
         assert_eq!(judge.asks_for_homing(), mounted_in_search || answer_lost);
     }
+}
+
+/// What the controller has to report of a fault, on a machine that has stood without power and undisturbed for this long.
+fn noticeable(words: &str, calm_ms: u64, is_homed: bool) -> Option<Input> {
+    let config = Config::default();
+    let chain = Chain::new(&config);
+    let mut notices = Notices::new(&config, &chain);
+    let status = Status {
+        mode: Mode::DrivesOff,
+        fault: None,
+        referenced: is_homed,
+        reference_lost: false,
+        increments: [None; AXES],
+        config: None,
+        override_percent: 100,
+        counters: Counters::default(),
+        recovering: false,
+        interlock: None,
+        port: PortState::default(),
+        waiting_for: None,
+        slaves: heapless::Vec::new(),
+        io: heapless::Vec::new(),
+    };
+    notices.reported(&status, &chain);
+    for ms in 0..=calm_ms {
+        notices.step(ms, false, false, false);
+    }
+    notices.of(fault(words), calm_ms, &chain)
+}
+
+#[test]
+fn only_what_nothing_else_disturbs_has_to_be_noticed() {
+    for words in ["pdi 2 400", "jump 3 100000", "power 1 900", "remove 4"] {
+        assert!(noticeable(words, 1_001, true).is_some(), "{words}");
+        assert_eq!(noticeable(words, 100, true), None, "{words}: just disturbed");
+    }
+    for words in ["pdi 2 40", "jump 3 100", "power 1 90", "mute 400", "deaf 2 400", "drop"] {
+        assert_eq!(noticeable(words, 1_001, true), None, "{words}");
+    }
+    assert!(noticeable("pdi 2 400", 1_001, false).is_some());
+    assert_eq!(noticeable("jump 3 100000", 1_001, false), None, "nothing is known");
 }
