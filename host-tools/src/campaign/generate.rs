@@ -6,13 +6,14 @@
 use super::chance::Chance;
 use super::episode::{Episode, Event, Figure, FileUse, What, Wish};
 use super::machine::Machine;
-use super::{figures, trouble};
+use super::{figures, robot, trouble};
+use crate::axes::{Motion, motion};
 use crate::settings::checking;
 use clap::ValueEnum;
 use etherpen::config::{Config, PenLiftKind};
 use etherpen::messages::Command;
 use etherpen::motion::{Pen, WorkArea};
-use etherpen::robots::Position;
+use etherpen::robots::{JointAngles, Kinematics, MAIN_AXES, Position};
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
 use toml::Value;
@@ -90,6 +91,20 @@ pub fn episode(machine: &Machine, seed: u64, profile: Profile) -> Episode {
         let combined = Value::String("combined".into());
         episode.config.insert("bus.exchange".into(), combined);
     }
+    let mut folding = Chance::new(seed ^ FOLD_SEED);
+    if !machine.config.has_home_switches() && folding.one_in(4) {
+        fold(&mut episode, &mut folding);
+    }
+    let mut handling = Chance::new(seed ^ HANDLING_SEED);
+    if handling.one_in(5) {
+        let [lower, jog, draw] = with_the_pen_down(&mut handling, episode.figures.len());
+        let place = handling.below(episode.wishes.len() as u64 + 1) as usize;
+        match handling.one_in(2) {
+            // Somebody who only tries the pen.
+            true => episode.wishes = vec![lower, jog],
+            false => _ = episode.wishes.splice(place..place, [lower, jog, draw]),
+        }
+    }
     match profile {
         Profile::Terminals if machine.chain.terminals.is_empty() => with_terminals(&mut episode, machine),
         Profile::Cables => with_serial_numbers(&mut episode, machine),
@@ -103,8 +118,104 @@ pub fn episode(machine: &Machine, seed: u64, profile: Profile) -> Episode {
             profile,
             duration_ms,
         );
+        let mut noise = Chance::new(seed ^ GREETING_SEED);
+        if matches!(profile, Profile::Link | Profile::All) && noise.one_in(8) {
+            episode.events.extend(stops_before_the_greeting(&mut noise));
+        }
+        let mut processors = Chance::new(seed ^ PROCESSOR_SEED);
+        if matches!(profile, Profile::Bus | Profile::All) && processors.one_in(4) {
+            episode
+                .events
+                .push(short_standstill(&mut processors, machine, duration_ms));
+        }
+        let mut brakes = Chance::new(seed ^ BRAKES_SEED);
+        if matches!(profile, Profile::Drives | Profile::All) && brakes.one_in(6) {
+            episode
+                .events
+                .extend(jump_without_power(&mut brakes, machine, duration_ms));
+        }
+        episode.events.sort_by_key(|event| event.at_ms);
     }
     episode
+}
+
+/// A machine that stands folded, or in another pose far from its usual one, when it is switched on: often outside its work area.
+fn fold(episode: &mut Episode, chance: &mut Chance) {
+    let Ok(config) = episode.configuration() else { return };
+    let place = |axis: usize| format!("axes.{axis}.sync_angle_rad");
+    let drives = usize::from(config.bus.drives).min(MAIN_AXES);
+    let mut pose = JointAngles(config.axes.each_ref().map(|axis| axis.sync_angle_rad));
+    let turns = |axis: usize| motion(config.geometry.kind(), axis) == Motion::Rotary;
+    // The joints hold the tool within their ranges, and the pen stands above the paper.
+    let ranges_rad = robot::ranges_rad(&config.geometry);
+    let is_upwards = chance.one_in(2);
+    let rooms_rad = (0..drives).filter(|axis| turns(*axis)).map(|axis| match is_upwards {
+        true => ranges_rad[axis][1] - END_RAD - pose.0[axis],
+        false => pose.0[axis] - ranges_rad[axis][0] - END_RAD,
+    });
+    let most_rad = rooms_rad.fold(FOLDED_MAX_RAD, f64::min).max(0.0);
+    let part = if chance.one_in(2) {
+        1.0
+    } else {
+        chance.between(0.0, 1.0)
+    };
+    let turned_rad = if is_upwards { part * most_rad } else { -part * most_rad };
+    for axis in (0..drives).filter(|axis| turns(*axis)) {
+        pose.0[axis] = ((pose.0[axis] + turned_rad) * 1e4).round() / 1e4;
+        episode.config.insert(place(axis), Value::Float(pose.0[axis]));
+    }
+    let low_mm = config.paper.pen_down_z_mm + config.paper.pen_lift_mm;
+    let is_above =
+        Kinematics::new(&config.geometry).is_ok_and(|robot| robot.forward(&pose).is_ok_and(|tool| tool.z_mm >= low_mm));
+    if !is_above || episode.configuration().is_err() {
+        (0..drives).for_each(|axis| _ = episode.config.remove(&place(axis)));
+    }
+}
+
+/// Lowers the pen, jogs upwards and draws.
+fn with_the_pen_down(chance: &mut Chance, figures: usize) -> [Wish; 3] {
+    let lower = Command::Pen { pen: Pen::Down };
+    let mut velocity_mm_s = velocity(chance);
+    velocity_mm_s[2] = chance.scaled(1.0, 200.0) as f32;
+    let jog = Wish::Jog(velocity_mm_s, chance.milliseconds(1_500));
+    let draw = Wish::Draw(chance.below(figures as u64) as usize);
+    [Wish::AtOnce(vec![lower]), jog, draw]
+}
+
+/// A line with noise on which the first greeting may be lost, while somebody presses the stop a few times.
+fn stops_before_the_greeting(chance: &mut Chance) -> Vec<Event> {
+    let lasts_ms = chance.scaled(20.0, 1_500.0) as u32;
+    let noise = What::Noise(lasts_ms, chance.scaled(5.0, 100.0) as u32);
+    let mut events = vec![Event { at_ms: 0, what: noise }];
+    events.extend((0..1 + chance.below(3)).map(|_| Event {
+        at_ms: chance.below(lasts_ms.min(STOPPED_MAX_MS).into()) as u32,
+        what: What::Beside(Command::Stop),
+    }));
+    events
+}
+
+/// A drive's processor that stands still for a moment, about as long as its watchdog takes.
+fn short_standstill(chance: &mut Chance, machine: &Machine, duration_ms: u32) -> Event {
+    let slave = chance.one_of(&machine.chain.drives);
+    let lasts_ms = chance.scaled(60.0, 400.0) as u32;
+    Event {
+        at_ms: chance.below(duration_ms.into()) as u32,
+        what: What::Fault(format!("pdi {slave} {lasts_ms}")),
+    }
+}
+
+/// An encoder that slips on its shaft some time after the drives are switched off or stopped: the brakes close hard.
+fn jump_without_power(chance: &mut Chance, machine: &Machine, duration_ms: u32) -> [Event; 2] {
+    let at_ms = chance.below(duration_ms.into()) as u32;
+    let later_ms = chance.scaled(150.0, 1_500.0) as u32;
+    let off = chance.one_of(&[Command::Disable, Command::Stop, Command::Stop]);
+    let slave = chance.one_of(&machine.chain.drives);
+    let increments = chance.scaled(1_000.0, 200_000.0) as i64 * chance.one_of(&[-1, 1]);
+    [
+        (at_ms, What::Beside(off)),
+        (at_ms + later_ms, What::Fault(format!("jump {slave} {increments}"))),
+    ]
+    .map(|(at_ms, what)| Event { at_ms, what })
 }
 
 /// Takes values away that the machine cannot have together.
@@ -504,6 +615,22 @@ const TILT_SEED: u64 = 0x0711_7000_0000;
 const EXCHANGE_SEED: u64 = 0x0C03_B140_0000;
 /// Gives the commands that follow an event random numbers of their own.
 const CROWD_SEED: u64 = 0x0C20_3D00_0000;
+/// Gives the pose at the start random numbers of its own.
+const FOLD_SEED: u64 = 0x0F01_DED0_0000;
+/// Largest angle between the usual pose at the start and another one, rad.
+const FOLDED_MAX_RAD: f64 = 1.0;
+/// Least distance of a joint from an end of its range at the start, rad.
+const END_RAD: f64 = 0.05;
+/// Gives jogs with the pen down random numbers of their own.
+const HANDLING_SEED: u64 = 0x0A4D_1160_0000;
+/// Gives stops before the greeting random numbers of their own.
+const GREETING_SEED: u64 = 0x06EE_7160_0000;
+/// Latest stop before the greeting, ms.
+const STOPPED_MAX_MS: u32 = 300;
+/// Gives short standstills of processors random numbers of their own.
+const PROCESSOR_SEED: u64 = 0x0F0C_E550_0000;
+/// Gives encoders that slip without power random numbers of their own.
+const BRAKES_SEED: u64 = 0x0B4A_CE50_0000;
 /// Steepest sheet along each side, mm for each mm.
 const TILT_MAX: f64 = 0.03;
 
@@ -565,6 +692,44 @@ mod tests {
             let combined = combined.count();
             assert!((10..50).contains(&combined), "{}: {combined} of 100", machine.name);
         }
+    }
+
+    #[test]
+    fn some_machines_stand_folded_at_the_start_and_others_never() {
+        for machine in MACHINES.map(|machine| self::machine(machine.name)) {
+            let folds = (0..200).filter(|seed| {
+                let config = episode(&machine, *seed, Profile::Quiet).configuration();
+                let config = config.expect("a valid configuration");
+                (config.axes.iter().zip(&machine.config.axes))
+                    .any(|(axis, usual)| axis.sync_angle_rad != usual.sync_angle_rad)
+            });
+            let folds = folds.count();
+            match machine.name.as_str() {
+                "irb340" | "scara" => assert!((10..100).contains(&folds), "{}: {folds} of 200", machine.name),
+                _ => assert_eq!(folds, 0, "{}", machine.name),
+            }
+        }
+    }
+
+    #[test]
+    fn stops_come_before_the_greeting_encoders_slip_without_power_and_processors_stand_still_for_a_moment() {
+        let machine = machine(DEFAULT_MACHINE);
+        let [mut greetings, mut slips, mut standstills] = [0; 3];
+        for seed in 0..100 {
+            let link = episode(&machine, seed, Profile::Link).events;
+            let has_noise = link
+                .iter()
+                .any(|event| event.at_ms == 0 && matches!(event.what, What::Noise(..)));
+            let stops = |event: &Event| event.at_ms < STOPPED_MAX_MS && event.what == What::Beside(Command::Stop);
+            greetings += u32::from(has_noise && link.iter().any(stops));
+            let drives = episode(&machine, seed, Profile::Drives).events;
+            slips += u32::from(drives.iter().any(|event| matches!(event.what, What::Beside(_))));
+            let is_short = |event: &Event| matches!(&event.what, What::Fault(words) if words.starts_with("pdi"));
+            standstills += u32::from(episode(&machine, seed, Profile::Bus).events.iter().any(is_short));
+        }
+        assert!((5..30).contains(&greetings), "{greetings} of 100");
+        assert!((8..30).contains(&slips), "{slips} of 100");
+        assert!(standstills >= 20, "{standstills} of 100");
     }
 
     #[test]

@@ -78,9 +78,16 @@ fn an_episode_repeats_exactly() {
     assert_eq!(run(&whole), run(&whole));
 }
 
-/// An episode in which a drive gets nothing but zeros: it can never draw.
+/// An episode in which a drive gets nothing but zeros: it can never draw, although its operator wants to.
 fn hopeless() -> Episode {
-    let mut whole = episode(5, Profile::All);
+    let mut whole = episode(5, Profile::Quiet);
+    whole.wishes = vec![Wish::Draw(0), Wish::Disable];
+    whole.events = [300, 600]
+        .map(|at_ms| Event {
+            at_ms,
+            what: What::Reconnect,
+        })
+        .to_vec();
     whole.config.clear();
     for (place, value) in [
         ("axes.0.feedback_gain_per_s", 0.0),
