@@ -3,10 +3,10 @@
 //! A slave in OP takes its outputs by its clock, and its neighbours theirs: 1 us apart is what drives that share a load
 //! tolerate. A crystal drifts by some ten parts per million and its control adds as much, some ten nanoseconds a
 //! millisecond; what goes beyond [`JUMP_NS`] where nothing is disturbed was set, and moves the moment at which the drive acts.
-//! After a loss of frames a clock follows the others at up to a tenth of its speed ([`CATCH_UP_NS`]). While a fault is latched
-//! to which slaves or frames were disturbed, clocks need not agree: a slave that has returned in front of the one that
-//! distributes its time waits for its repair, and until then it gets the time before its own. Its repair takes that away
-//! ([`WAITED_NS`]).
+//! After a loss of frames a clock follows the others at up to a tenth of its speed ([`CATCH_UP_NS`]). While a fault stops the
+//! drives or is latched, and slaves or frames were disturbed, clocks need not agree: a slave that has returned in front of
+//! the one that distributes its time waits for its repair, and until then it gets the time before its own. Its repair takes
+//! that away ([`WAITED_NS`]).
 
 use crate::moment::{Mode, Moment};
 use crate::scene::{Finding, Scene};
@@ -46,7 +46,8 @@ impl Clocks {
             0
         };
         self.may_wait |= scene.disturbances.machine_disturbed();
-        let waits = self.may_wait && scene.orders.mode == Some(Mode::Fault);
+        let is_fault = matches!(scene.orders.mode, Some(Mode::Fault | Mode::Stopping));
+        let waits = self.may_wait && is_fault;
         let agreement = if waits { Ok(()) } else { self.agree(moment) };
         if !waits && self.quiet_ms > QUIET_MS && agreement.is_ok() {
             self.may_wait = false;
@@ -177,7 +178,8 @@ mod tests {
                 })
             };
             assert_eq!(run(Mode::DrivesOff, 0..1, 0), Ok(()));
-            let waits = run(Mode::Fault, 1..2_500, 2_300);
+            let stops = run(Mode::Stopping, 1..1_500, 2_300);
+            let waits = stops.and_then(|()| run(Mode::Fault, 1_500..2_500, 2_300));
             if disturbed.is_none() {
                 assert!(broken(&waits, Rule::Clocks), "{waits:?}");
                 continue;
