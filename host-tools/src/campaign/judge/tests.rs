@@ -1,7 +1,5 @@
 use super::super::trouble;
 use super::*;
-use etherpen::board::PortState;
-use etherpen::messages::Counters;
 
 fn fault(words: &str) -> Fault {
     words.parse().expect("words of the script")
@@ -120,20 +118,9 @@ fn noticeable(words: &str, calm_ms: u64, is_homed: bool) -> Option<Input> {
     let chain = Chain::new(&config);
     let mut notices = Notices::new(&config, &chain);
     let status = Status {
-        mode: Mode::DrivesOff,
-        fault: None,
         referenced: is_homed,
-        reference_lost: false,
-        increments: [None; AXES],
-        config: None,
-        override_percent: 100,
-        counters: Counters::default(),
-        recovering: false,
-        interlock: None,
-        port: PortState::default(),
-        waiting_for: None,
         slaves: heapless::Vec::new(),
-        io: heapless::Vec::new(),
+        ..crate::console::status::tests::status(Mode::DrivesOff, None)
     };
     notices.reported(&status, &chain);
     for ms in 0..=calm_ms {

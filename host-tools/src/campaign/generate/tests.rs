@@ -1,0 +1,150 @@
+use super::*;
+use crate::campaign::machine::DEFAULT_MACHINE;
+use crate::cell::SlaveKind;
+use crate::settings::machines::MACHINES;
+use etherpen::config::PenLiftKind;
+use etherpen::ethercat::cyclic::ExchangeKind;
+
+fn machine(name: &str) -> Machine {
+    Machine::load(name).expect("a bundled machine")
+}
+
+#[test]
+fn every_episode_has_a_valid_configuration_and_drawings() {
+    for machine in MACHINES.map(|machine| self::machine(machine.name)) {
+        let mut values = 0;
+        for seed in 0..120 {
+            let episode = episode(&machine, seed, Profile::All);
+            let config = episode
+                .configuration()
+                .unwrap_or_else(|cause| panic!("{}, seed {seed}: {cause}", machine.name));
+            values += episode.config.len();
+            for figure in &episode.figures {
+                let path = figure.path(&config);
+                assert!(path.len() >= 4, "seed {seed}");
+                let repeats = path.windows(2).any(|pair| pair[0].position_um == pair[1].position_um);
+                assert!(!repeats, "seed {seed}: a vertex repeats the one before it");
+            }
+        }
+        assert!(values > 200, "{}: {values} values of the configuration", machine.name);
+    }
+}
+
+#[test]
+fn sheets_lie_aslant_where_the_pen_has_an_axis() {
+    for machine in MACHINES.map(|machine| self::machine(machine.name)) {
+        let tilts = (0..200).filter(|seed| {
+            let config = episode(&machine, *seed, Profile::Quiet).configuration();
+            config.expect("a valid configuration").paper.slope != [0.0; 2]
+        });
+        let tilts = tilts.count();
+        match machine.config.pen.kind {
+            PenLiftKind::Axis => assert!(tilts > 15, "{}: {tilts} of 200", machine.name),
+            _ => assert_eq!(tilts, 0, "{}", machine.name),
+        }
+    }
+}
+
+#[test]
+fn both_kinds_of_exchange_are_tried_on_every_machine() {
+    for machine in MACHINES.map(|machine| self::machine(machine.name)) {
+        let combined = (0..100).filter(|seed| {
+            let config = episode(&machine, *seed, Profile::Quiet).configuration();
+            config.expect("a valid configuration").bus.exchange == ExchangeKind::Combined
+        });
+        let combined = combined.count();
+        assert!((10..50).contains(&combined), "{}: {combined} of 100", machine.name);
+    }
+}
+
+#[test]
+fn some_machines_stand_folded_at_the_start_and_others_never() {
+    for machine in MACHINES.map(|machine| self::machine(machine.name)) {
+        let folds = (0..200).filter(|seed| {
+            let config = episode(&machine, *seed, Profile::Quiet).configuration();
+            let config = config.expect("a valid configuration");
+            (config.axes.iter().zip(&machine.config.axes))
+                .any(|(axis, usual)| axis.sync_angle_rad != usual.sync_angle_rad)
+        });
+        let folds = folds.count();
+        match machine.name.as_str() {
+            "irb340" | "scara" => assert!((10..100).contains(&folds), "{}: {folds} of 200", machine.name),
+            _ => assert_eq!(folds, 0, "{}", machine.name),
+        }
+    }
+}
+
+#[test]
+fn stops_come_before_the_greeting_encoders_slip_without_power_and_processors_stand_still_for_a_moment() {
+    let machine = machine(DEFAULT_MACHINE);
+    let [mut greetings, mut slips, mut standstills] = [0; 3];
+    for seed in 0..100 {
+        let link = episode(&machine, seed, Profile::Link).events;
+        let has_noise = link
+            .iter()
+            .any(|event| event.at_ms == 0 && matches!(event.what, What::Noise(..)));
+        let stops = |event: &Event| event.at_ms < seldom::STOPPED_MAX_MS && event.what == What::Beside(Command::Stop);
+        greetings += u32::from(has_noise && link.iter().any(stops));
+        let drives = episode(&machine, seed, Profile::Drives).events;
+        slips += u32::from(drives.iter().any(|event| matches!(event.what, What::Beside(_))));
+        let is_short = |event: &Event| matches!(&event.what, What::Fault(words) if words.starts_with("pdi"));
+        standstills += u32::from(episode(&machine, seed, Profile::Bus).events.iter().any(is_short));
+    }
+    assert!((5..30).contains(&greetings), "{greetings} of 100");
+    assert!((8..30).contains(&slips), "{slips} of 100");
+    assert!(standstills >= 20, "{standstills} of 100");
+}
+
+#[test]
+fn a_profile_keeps_to_its_faults() {
+    let machine = machine(DEFAULT_MACHINE);
+    for seed in 0..300 {
+        assert!(episode(&machine, seed, Profile::Quiet).events.is_empty());
+        for event in episode(&machine, seed, Profile::Link).events {
+            assert!(matches!(
+                event.what,
+                What::Reconnect | What::Unplug(_) | What::Noise(..) | What::Beside(Command::Stop)
+            ));
+        }
+    }
+}
+
+#[test]
+fn terminals_are_behind_the_drives_so_that_the_numbers_of_slaves_are_those_of_the_axes() {
+    for seed in 0..50 {
+        let episode = episode(&machine(DEFAULT_MACHINE), seed, Profile::Terminals);
+        let config = episode.configuration().unwrap_or_else(|cause| panic!("{cause}"));
+        let chain = crate::cell::usual_slaves(&config);
+        let (drives, terminals) = chain.split_at(config.axes.len());
+        assert!(drives.iter().all(|kind| kind.is_drive()), "{chain:?}");
+        assert_eq!(terminals, [SlaveKind::Ek1100, SlaveKind::El2008, SlaveKind::El1008]);
+    }
+}
+
+#[test]
+fn every_kind_of_event_and_wish_occurs() {
+    let machine = machine(DEFAULT_MACHINE);
+    let mut seen = std::collections::BTreeSet::new();
+    for seed in 0..400 {
+        let episode = episode(&machine, seed, Profile::All);
+        for event in &episode.events {
+            let words = match &event.what {
+                What::Fault(words) | What::Frames(words, _) => words.split(' ').next().unwrap_or_default().to_owned(),
+                other => format!("{other:?}")
+                    .split(['(', ' '])
+                    .next()
+                    .unwrap_or_default()
+                    .to_owned(),
+            };
+            seen.insert(words);
+        }
+        seen.extend(episode.wishes.iter().map(|wish| {
+            format!("wish {wish:?}")
+                .split('(')
+                .next()
+                .unwrap_or_default()
+                .to_owned()
+        }));
+    }
+    assert!(seen.len() >= 50, "{} kinds: {seen:?}", seen.len());
+}
