@@ -19,6 +19,7 @@ pub(super) struct Told {
     mode: Mode,
     fault: Option<Fault>,
     recovering: bool,
+    referenced: bool,
     interlock: Option<Interlock>,
     port: PortState,
     /// How often the named inputs and outputs had changed.
@@ -32,6 +33,7 @@ impl Told {
         mode: Mode::Startup,
         fault: None,
         recovering: false,
+        referenced: false,
         interlock: None,
         port: PortState::Unknown,
         io_changes: 0,
@@ -84,6 +86,7 @@ impl Coordinator<'_> {
             mode: self.application.mode(),
             fault: self.application.fault(),
             recovering: self.application.is_recovering(),
+            referenced: self.condition.unreferenced.is_none(),
             interlock: self.condition.interlock,
             port: self.board.port,
             io_changes: self.io.changes(),

@@ -7,7 +7,7 @@ use etherpen::application::{Fault, Mode};
 use etherpen::config::Config;
 use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest};
 use etherpen::ethercat::error::IdentityProperty;
-use host_tools::cell::{CellOptions, Fault as CellFault, PlaceOptions};
+use host_tools::cell::{AlState, CellOptions, Fault as CellFault, PlaceOptions, SlaveKind};
 use host_tools::link::text;
 
 /// Number of the first drive; the others follow.
@@ -192,5 +192,103 @@ fn a_drive_that_returned_at_anothers_place_is_known_again_when_it_is_put_back_wi
         robot.inject(EXCHANGED);
         robot.run(500);
         assert_eq!(come_back(&mut robot, 1), 1);
+    }
+}
+
+/// A robot that knows its four drives by their serial numbers, with the cables of two more drives still open: slaves 5 and 6.
+fn with_two_spares(clocks: bool, expects_serials: bool) -> Robot {
+    let mut config = Config::default();
+    config.bus.clocks = clocks;
+    let serials = (u32::from(FIRST)..).take(6);
+    let places = serials.clone().map(|serial| PlaceOptions {
+        serial: Some(serial),
+        ..PlaceOptions::default()
+    });
+    for (serial, axis) in serials.zip(&mut config.axes).filter(|_| expects_serials) {
+        axis.serial = serial;
+    }
+    let options = CellOptions {
+        slaves: vec![SlaveKind::Ax2000; 6],
+        places: places.collect(),
+        ..CellOptions::default()
+    };
+    let mut robot = Robot::of(&config, options);
+    for spare in [5, 6] {
+        robot.inject(CellFault::Remove(spare));
+    }
+    robot.run(5);
+    robot.enabled()
+}
+
+/// Puts the slave at `from` to `to`, where nothing is plugged in; without power on the way, or with it. The others are brought
+/// back on the way.
+fn put(robot: &mut Robot, from: usize, to: usize, with_power: bool) {
+    robot.inject(CellFault::Remove(from));
+    robot.run(100);
+    if !with_power {
+        robot.inject(CellFault::Power(from, 300));
+        robot.run(10);
+    }
+    robot.inject(CellFault::Recable(from, to));
+    robot.run(700);
+    for _ in 0..3 {
+        acknowledge(robot);
+        robot.run(100);
+    }
+    robot.inject(CellFault::Insert(to));
+    robot.run(1_000);
+}
+
+#[test]
+fn a_drive_that_got_the_number_of_another_extra_one_takes_no_axis_that_expects_a_serial_number() {
+    for clocks in [false, true] {
+        let mut robot = with_two_spares(clocks, true);
+        robot.inject(CellFault::Remove(2));
+        robot.run(1_000);
+        robot.wait_for(Mode::Fault);
+        // The drive of the second axis comes back at the end of the chain, and is an extra one there.
+        put(&mut robot, 2, 5, false);
+        assert_eq!(robot.status.as_ref().unwrap().slaves.len(), 5, "an extra one");
+        robot.inject(CellFault::Remove(5));
+        robot.run(500);
+        // Another one gets its number, and comes to the axis with power.
+        robot.inject(CellFault::Insert(6));
+        robot.run(1_000);
+        put(&mut robot, 6, 2, true);
+        let before = robot.cell().joints;
+        for _ in 0..3 {
+            let left = acknowledge(&mut robot);
+            assert!(left.is_some(), "clocks {clocks}: another drive has taken the axis");
+            assert_ne!(robot.cell().slaves[1].al_state, AlState::Operational);
+        }
+        assert_eq!(robot.cell().joints, before, "a motor has moved");
+        robot.inject(CellFault::Remove(2));
+        put(&mut robot, 5, 2, false);
+        come_back(&mut robot, 2);
+    }
+}
+
+#[test]
+fn a_drive_that_was_repaired_takes_its_axis_again_after_a_spare_one() {
+    for (clocks, comes_with_power) in [(false, false), (false, true), (true, false), (true, true)] {
+        let mut robot = with_two_spares(clocks, false);
+        robot.inject(CellFault::Remove(2));
+        robot.run(1_000);
+        robot.wait_for(Mode::Fault);
+        // The drive of the second axis visits the end of the chain, and works at its place again.
+        put(&mut robot, 2, 5, false);
+        put(&mut robot, 5, 2, comes_with_power);
+        come_back(&mut robot, 2);
+        // It fails, a spare one takes its place, and it comes back repaired.
+        for spare in [6, 6] {
+            robot.inject(CellFault::Remove(2));
+            robot.run(1_000);
+            robot.wait_for(Mode::Fault);
+            put(&mut robot, spare, 2, false);
+            let left = acknowledge(&mut robot);
+            assert_eq!(left, None, "with power {comes_with_power}, clocks {clocks}");
+            assert_eq!(robot.cell().slaves[1].al_state, AlState::Operational);
+        }
+        come_back(&mut robot, 2);
     }
 }

@@ -20,6 +20,7 @@ mod diagnosis;
 mod files;
 mod identity;
 mod inbox;
+mod mark;
 mod objects;
 mod repair;
 mod requests;

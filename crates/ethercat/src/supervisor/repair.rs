@@ -76,6 +76,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     /// Brings a slave to OP through INIT.
     async fn configure_again(&mut self, number: usize) -> Result<(), Failure> {
         let at = |step| Failure::of(number as u16, step);
+        // Whatever ends this, the slave is not resumed with its clock set and its sync signals stopped.
+        self.change_state(number, AlState::Init, Step::Init).await?;
         self.adapt_exchange(number).await.map_err(at(Step::Identify))?;
         if let Some(slave) = self.slaves.get_mut(number) {
             slave.report = Default::default();
@@ -260,7 +262,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             }
             self.name(0).await.map_err(at(Step::Identify))?;
         }
-        match other {
+        let extra = self.extra_between(number, places, |extra| extra.is_of_product(&slave.identity()));
+        let stands_there = extra.and_then(|extra| Some(other_serial(&slave, self.slaves.get(extra)?)));
+        match other.or(stands_there) {
             Some(error) => Err(at(Step::Identify)(error)),
             None => Err(at(Step::Locate)(BusError::SlaveCount {
                 expected: self.slaves.len() as u16,
@@ -272,38 +276,52 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     /// The extra slave between a lost one's neighbours that has its serial number: it returned at another place, where it
     /// got a number of its own, and was then put back with power.
     fn extra_with_serial_of(&self, number: usize, places: &Places) -> Option<usize> {
-        let lost = self.slaves.get(number)?;
+        let lost = self.slaves.get(number)?.identity();
+        self.extra_between(number, places, |extra| {
+            let extra = extra.identity();
+            let is_equal = (extra.vendor, extra.product, extra.serial) == (lost.vendor, lost.product, lost.serial);
+            is_equal && lost.serial != 0
+        })
+    }
+
+    /// The first extra slave between a slave's neighbours that is wanted.
+    fn extra_between(&self, number: usize, places: &Places, is_wanted: impl Fn(&Slave<F>) -> bool) -> Option<usize> {
         let between = places.get(self.between(number, places))?;
-        let is_the_lost_one = |extra: &Slave<F>| {
-            let (extra, lost) = (extra.identity(), lost.identity());
-            (extra.vendor, extra.product) == (lost.vendor, lost.product)
-        };
         let mut extras = (0..).zip(&self.slaves).skip(self.ordered.max(number + 1));
-        let extra = extras.find(|(_, extra)| {
-            let is_it = !extra.is_used() && has_serial_of(lost, &extra.identity()) && is_the_lost_one(extra);
-            is_it && between.contains(&extra.station())
-        });
+        let extra =
+            extras.find(|(_, extra)| !extra.is_used() && is_wanted(extra) && between.contains(&extra.station()));
         extra.map(|(extra, _)| extra)
     }
 
     /// Gives an extra slave the address of the lost one that it is.
+    ///
+    /// # Errors
+    /// [`BusError::WrongSlave`] if it is another one by now: what was plugged in later may have got its address.
     async fn take_back_extra(&mut self, number: usize, extra: usize) -> Result<(), BusError> {
         let (Some(lost), Some(found)) = (self.slaves.get(number).copied(), self.slaves.get(extra).copied()) else {
             return Ok(());
         };
-        let known = self.check_returned(number, found.station(), found.identity()).await?;
+        information::take(&mut self.port, found.station()).await;
+        let fixed = information::fixed_part(&mut self.port, found.station()).await?;
+        if fixed.identity != found.identity() {
+            self.take_place(extra, fixed, KnownIdentity::default());
+            information::give_to_slave(&mut self.port, found.station()).await;
+            return Err(other_serial(&lost, &Slave { fixed, ..found }));
+        }
+        let known = self.check_returned(number, found.station(), fixed.identity).await?;
         discovery::rename(&mut self.port, found.station(), lost.station()).await?;
         self.clocks.was_off(number);
-        self.take_place(number, found.fixed, known);
         if let Some(extra) = self.slaves.get_mut(extra) {
             (extra.condition, extra.report) = (Condition::Lost, AlReport::default());
         }
+        self.take_place(number, fixed, known);
         self.introduce(extra).await;
         Ok(())
     }
 
-    /// Notes the slave that has taken the place of one that was not wanted there.
-    fn take_place(&mut self, number: usize, fixed: FixedPart, known: KnownIdentity) {
+    /// Notes the slave that has taken the place of one that was not wanted there. Where it was an extra slave before, it is
+    /// no longer expected.
+    pub(super) fn take_place(&mut self, number: usize, fixed: FixedPart, known: KnownIdentity) {
         if let Some(slave) = self.slaves.get_mut(number) {
             if slave.fixed.identity != fixed.identity {
                 (slave.device, slave.process_data) = (F::by_identity(&fixed.identity), None);
@@ -311,6 +329,11 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 self.exchanged = self.exchanged.without(SlaveSet::of(number));
             }
             (slave.fixed, slave.known) = (fixed, known);
+        }
+        let extras = (0..).zip(&mut self.slaves).skip(self.ordered);
+        let gone = extras.filter(|(extra, slave)| *extra != number && slave.condition == Condition::Lost);
+        for (_, extra) in gone.filter(|(_, slave)| slave.fixed.identity == fixed.identity) {
+            extra.fixed.identity.serial = 0;
         }
     }
 
@@ -391,73 +414,6 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             self.name(0).await?;
         }
         fixed
-    }
-
-    /// The fixed part of the slave with the temporary address.
-    pub(super) async fn read_marked(&mut self) -> Result<FixedPart, BusError> {
-        information::fixed_part(&mut self.port, STATION_TEMPORARY).await
-    }
-
-    /// Gives the slave at a place, which has no address of its own here, the temporary one, and looks whether it was that slave:
-    /// one that has returned since the places were read shifts them. Then another slave has got the address, and gets back the
-    /// one that it had. What the marked slave maps into the logical memory is cleared: another master may have set it.
-    pub(super) async fn mark(&mut self, place: u16, places: &Places) -> Result<(), BusError> {
-        let assigned = discovery::assign_station(&mut self.port, place, STATION_TEMPORARY).await;
-        self.look_for_mark(place, places, assigned).await?;
-        discovery::clear_fmmus(&mut self.port, STATION_TEMPORARY).await
-    }
-
-    /// Looks whether the slave with the temporary address is still where it was marked, before it gets another one: with
-    /// power, it keeps the mark when its cables are put elsewhere. Takes the mark back if not.
-    pub(super) async fn confirm_mark(&mut self, place: u16, places: &Places) -> Result<(), BusError> {
-        self.look_for_mark(place, places, Ok(())).await
-    }
-
-    async fn look_for_mark(
-        &mut self,
-        place: u16,
-        places: &Places,
-        assigned: Result<(), BusError>,
-    ) -> Result<(), BusError> {
-        let there = match assigned {
-            Ok(()) => self.settled_places().await,
-            Err(error) => Err(error),
-        };
-        let station = match &there {
-            Ok(there) if is_marked(place, places, there) => return Ok(()),
-            Ok(there) => self.renamed(places, there),
-            Err(_) => 0,
-        };
-        self.name(station).await?;
-        let there = there?;
-        Err(other_chain(place, places, &there))
-    }
-
-    /// The address that the slave with the temporary one had before slaves returned in front of it, or dropped out; 0 if it had
-    /// none, or if nobody can know.
-    fn renamed(&self, places: &Places, there: &Places) -> u16 {
-        let mut marked = there
-            .iter()
-            .enumerate()
-            .filter(|(_, there)| **there == STATION_TEMPORARY);
-        let (Some((place, _)), None) = (marked.next(), marked.next()) else {
-            return 0;
-        };
-        let before = (place + places.len()).checked_sub(there.len());
-        let station = before.and_then(|place| places.get(place)).copied().unwrap_or(0);
-        // Where all before the place are as they were, one behind it has dropped out.
-        let has_shifted = match there.len() < places.len() {
-            true => there.get(..place) != places.get(..place),
-            false => there.len() > places.len(),
-        };
-        let is_gone = has_shifted && self.number_of(station).is_some() && !there.contains(&station);
-        if is_gone { station } else { 0 }
-    }
-
-    /// Gives the slave with the temporary address its own, or none with 0. Not by its place: a slave that returns
-    /// meanwhile shifts the places.
-    pub(super) async fn name(&mut self, station: u16) -> Result<(), BusError> {
-        discovery::rename(&mut self.port, STATION_TEMPORARY, station).await
     }
 
     /// Whether a slave with this identity may take a slave's place.
@@ -573,43 +529,20 @@ fn twice(places: &Places) -> Option<u16> {
     again.map(|(_, station)| *station)
 }
 
-/// Whether the slave at a place, and no other, has got the temporary address, and all others are where they were. Where
-/// one has lost its address meanwhile, slaves may have changed places, and the order tells nothing.
-fn is_marked(place: u16, places: &Places, there: &Places) -> bool {
-    let is_as_before = |(number, (before, now)): (usize, (&u16, &u16))| match number == usize::from(place) {
-        true => *now == STATION_TEMPORARY,
-        false => now == before,
-    };
-    places.len() == there.len() && places.iter().zip(there).enumerate().all(is_as_before)
-}
-
-/// How a chain in which a mark was not found as it was set differs from the one before.
-fn other_chain(place: u16, places: &Places, there: &Places) -> BusError {
-    if there.len() != places.len() {
-        return BusError::SlaveCount {
-            expected: places.len() as u16,
-            actual: there.len() as u16,
-        };
-    }
-    let actual = there.get(usize::from(place)).copied().unwrap_or(0);
-    let mut others = places.iter().zip(there).enumerate();
-    let other = others.find(|(number, (before, now))| *number != usize::from(place) && before != now);
-    match other.filter(|_| actual == STATION_TEMPORARY) {
-        Some((_, (expected, actual))) => BusError::Station {
-            expected: *expected,
-            actual: *actual,
-        },
-        None => BusError::Station {
-            expected: STATION_TEMPORARY,
-            actual,
-        },
-    }
-}
-
 /// Whether an identity has another serial number than a slave.
 fn has_other_serial<F: SlaveFactory>(slave: &Slave<F>, identity: &Identity) -> bool {
     let known = slave.identity().serial;
     known != 0 && identity.serial != 0 && identity.serial != known
+}
+
+/// The error of an extra slave that stands where another one of its product is missing.
+fn other_serial<F: SlaveFactory>(missing: &Slave<F>, extra: &Slave<F>) -> BusError {
+    BusError::WrongSlave {
+        property: IdentityProperty::Serial,
+        expected: missing.identity().serial,
+        actual: extra.identity().serial,
+        other: Some(extra.position as u8),
+    }
 }
 
 /// Whether an identity has a slave's own serial number.

@@ -90,7 +90,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let (named, is_extra) = match returned {
             Some(number) => {
                 *seen |= SlaveSet::of(number);
-                (self.readdress(number).await?, false)
+                (self.readdress(number, fixed).await?, false)
             }
             None if is_awaited => {
                 self.name(0).await?;
@@ -109,11 +109,13 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
 
     /// Recognises a returned slave that is not in use; a slave in use keeps waiting for its repair. Returns its address,
     /// or 0 while it waits.
-    async fn readdress(&mut self, number: usize) -> Result<u16, BusError> {
+    async fn readdress(&mut self, number: usize, fixed: FixedPart) -> Result<u16, BusError> {
         let unused = self.slaves.get(number).filter(|slave| !slave.is_used());
-        match unused.map(Slave::station) {
-            Some(station) => {
+        match unused.map(|slave| (slave.station(), slave.known)) {
+            Some((station, known)) => {
                 self.clocks.was_off(number);
+                // Extra slaves of one product may follow each other.
+                self.take_place(number, fixed, known);
                 self.name(station).await?;
                 // Until its clock is set, another one distributes its time.
                 let _ = self.restore_clock(number).await;

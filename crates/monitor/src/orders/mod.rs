@@ -69,7 +69,8 @@ pub(crate) struct Orders {
     pub(crate) stop: Option<Stop>,
     needs_acknowledgement: bool,
     acknowledged: bool,
-    fault_reported: bool,
+    /// Whether the last report tells of a fault.
+    pub(crate) fault_reported: bool,
     stop_open_since_ms: Option<u64>,
     is_clock_failed: bool,
     cut_since_ms: Option<u64>,

@@ -3,10 +3,10 @@
 //! A slave in OP takes its outputs by its clock, and its neighbours theirs: 1 us apart is what drives that share a load
 //! tolerate. A crystal drifts by some ten parts per million and its control adds as much, some ten nanoseconds a
 //! millisecond; what goes beyond [`JUMP_NS`] where nothing is disturbed was set, and moves the moment at which the drive acts.
-//! After a loss of frames a clock follows the others at up to a tenth of its speed ([`CATCH_UP_NS`]). While a fault stops the
-//! drives or is latched, and slaves or frames were disturbed, clocks need not agree: a slave that has returned in front of
-//! the one that distributes its time waits for its repair, and until then it gets the time before its own. Its repair takes
-//! that away ([`WAITED_NS`]).
+//! After a loss of frames a clock follows the others at up to a tenth of its speed ([`CATCH_UP_NS`]). While a fault is
+//! reported, also during its stop, and slaves or frames were disturbed, clocks need not agree: a slave that has returned in
+//! front of the one that distributes its time waits for its repair, and until then it gets the time before its own. Its
+//! repair takes that away ([`WAITED_NS`]).
 
 use crate::moment::{Mode, Moment};
 use crate::scene::{Finding, Scene};
@@ -46,7 +46,7 @@ impl Clocks {
             0
         };
         self.may_wait |= scene.disturbances.machine_disturbed();
-        let is_fault = matches!(scene.orders.mode, Some(Mode::Fault | Mode::Stopping));
+        let is_fault = scene.orders.fault_reported || scene.orders.mode == Some(Mode::Fault);
         let waits = self.may_wait && is_fault;
         let agreement = if waits { Ok(()) } else { self.agree(moment) };
         if !waits && self.quiet_ms > QUIET_MS && agreement.is_ok() {
@@ -166,8 +166,10 @@ mod tests {
         // Slaves were disturbed before the fault, in it, or never.
         for disturbed in [Some(0), Some(1), None] {
             let mut rig = Rig::idle();
-            let mut run = |mode: Mode, ms: core::ops::Range<u64>, ahead_ns: u64| {
+            rig.power(false);
+            let mut run = |mode: Mode, fault: Option<&str>, ms: core::ops::Range<u64>, ahead_ns: u64| {
                 rig.report(Report::Mode(mode));
+                rig.report(Report::Fault(fault.map(str::to_owned)));
                 ms.into_iter().try_for_each(|ms| {
                     let right_ns = 1_000_000_000 + ms * 1_000_000;
                     rig.clocks_ns = vec![Some(right_ns + ahead_ns), Some(right_ns)];
@@ -177,18 +179,37 @@ mod tests {
                     rig.step()
                 })
             };
-            assert_eq!(run(Mode::DrivesOff, 0..1, 0), Ok(()));
-            let stops = run(Mode::Stopping, 1..1_500, 2_300);
-            let waits = stops.and_then(|()| run(Mode::Fault, 1_500..2_500, 2_300));
+            let fault = Some("a slave is lost");
+            assert_eq!(run(Mode::DrivesOff, None, 0..1, 0), Ok(()));
+            let stops = run(Mode::Stopping, fault, 1..1_500, 2_300);
+            let waits = stops.and_then(|()| run(Mode::Fault, fault, 1_500..2_500, 2_300));
             if disturbed.is_none() {
                 assert!(broken(&waits, Rule::Clocks), "{waits:?}");
                 continue;
             }
             assert_eq!(waits, Ok(()));
-            assert_eq!(run(Mode::Fault, 2_500..2_600, 0), Ok(()), "its repair");
-            assert_eq!(run(Mode::Fault, 2_600..2_700, 2_300), Ok(()));
-            assert!(broken(&run(Mode::DrivesOff, 2_700..4_700, 2_300), Rule::Clocks));
+            assert_eq!(run(Mode::Fault, fault, 2_500..2_600, 0), Ok(()), "its repair");
+            assert_eq!(run(Mode::Fault, fault, 2_600..2_700, 2_300), Ok(()));
+            assert!(broken(&run(Mode::DrivesOff, None, 2_700..4_700, 2_300), Rule::Clocks));
         }
+    }
+
+    #[test]
+    fn a_stop_without_a_fault_lets_no_clock_wait() {
+        let mut rig = Rig::idle();
+        rig.disturb_machine(true);
+        let stops = (0..1_500_u64).try_for_each(|ms| {
+            let right_ns = 1_000_000_000 + ms * 1_000_000;
+            rig.clocks_ns = vec![Some(right_ns + 2_300), Some(right_ns)];
+            match ms {
+                1 => rig.disturb_machine(false),
+                // A drawing is cancelled, or the drives are switched off.
+                900 => rig.report(Report::Mode(Mode::Stopping)),
+                _ => {}
+            }
+            rig.step()
+        });
+        assert!(broken(&stops, Rule::Clocks), "{stops:?}");
     }
 
     #[test]

@@ -14,7 +14,7 @@ const HANDLING_SEED: u64 = 0x0A4D_1160_0000;
 const GREETING_SEED: u64 = 0x06EE_7160_0000;
 /// Latest stop before the greeting, ms.
 pub(super) const STOPPED_MAX_MS: u32 = 300;
-/// Gives short standstills of processors random numbers of their own.
+/// Gives standstills of processors random numbers of their own.
 const PROCESSOR_SEED: u64 = 0x0F0C_E550_0000;
 /// Gives encoders that slip without power random numbers of their own.
 const BRAKES_SEED: u64 = 0x0B4A_CE50_0000;
@@ -43,7 +43,7 @@ pub(super) fn events(machine: &Machine, seed: u64, profile: Profile, duration_ms
     }
     let mut processors = Chance::new(seed ^ PROCESSOR_SEED);
     if matches!(profile, Profile::Bus | Profile::All) && processors.one_in(4) {
-        events.push(short_standstill(&mut processors, machine, duration_ms));
+        events.push(standstill(&mut processors, machine, duration_ms));
     }
     let mut brakes = Chance::new(seed ^ BRAKES_SEED);
     if matches!(profile, Profile::Drives | Profile::All) && brakes.one_in(6) {
@@ -74,10 +74,10 @@ fn stops_before_the_greeting(chance: &mut Chance) -> Vec<Event> {
     events
 }
 
-/// A drive's processor that stands still for a moment, about as long as its watchdog takes.
-fn short_standstill(chance: &mut Chance, machine: &Machine, duration_ms: u32) -> Event {
+/// A drive's processor that stands still, for about as long as its watchdog takes or for longer than the report of it does.
+fn standstill(chance: &mut Chance, machine: &Machine, duration_ms: u32) -> Event {
     let slave = chance.one_of(&machine.chain.drives);
-    let lasts_ms = chance.scaled(60.0, 400.0) as u32;
+    let lasts_ms = chance.scaled(60.0, 3_000.0) as u32;
     Event {
         at_ms: chance.below(duration_ms.into()) as u32,
         what: What::Fault(format!("pdi {slave} {lasts_ms}")),

@@ -20,9 +20,8 @@ const CALM_BUS_MS: u64 = 1_000;
 const CALM_TASK_MS: u64 = 300;
 /// Longest time from a decision of the controller to a report of it, ms, with a margin.
 const REPORTED_MS: u64 = 300;
-/// Time of the processor's watchdog, ms, and the time after which it has expired for certain.
+/// Time of the processor's watchdog, ms.
 const PROCESSOR_MS: u64 = 100;
-const EXPIRED_MS: u64 = 125;
 /// Longest time until each slave's counter has been read once, ms for each slave: one is read every 20 ms.
 const ROUND_MS: u64 = 40;
 /// Milliseconds of lost outputs beyond the limit that are noticed for certain.
@@ -154,12 +153,16 @@ impl Notices {
         let is_powered = self.is_powered && calm_ms >= CALM_TASK_MS;
         let loses_outputs = |lasts_ms: u64| is_powered && lasts_ms >= self.lost_ms + LOST_MORE_MS;
         let axis_of = |slave: usize| chain.axis(slave);
+        let processor_ms = PROCESSOR_MS + ROUND_MS * self.slaves;
         let (what, within_ms, notice) = match fault {
+            // One that goes on before the report is due finds its drive switched off, which is a fault as well.
             Fault::Processor(slave, lasts_ms)
-                if lasts_ms >= EXPIRED_MS && axis_of(slave).is_some() && !is_busy && calm_ms >= CALM_BUS_MS =>
+                if lasts_ms > processor_ms + REPORTED_MS
+                    && axis_of(slave).is_some()
+                    && !is_busy
+                    && calm_ms >= CALM_BUS_MS =>
             {
-                let within_ms = PROCESSOR_MS + ROUND_MS * self.slaves;
-                ("a drive's processor stands still", within_ms, Notice::Fault)
+                ("a drive's processor stands still", processor_ms, Notice::Fault)
             }
             Fault::Mute(lasts_ms) if self.has_output_frames && loses_outputs(lasts_ms) => {
                 ("the outputs of all drives are lost", self.lost_ms, Notice::Fault)

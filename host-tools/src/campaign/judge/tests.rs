@@ -1,5 +1,7 @@
 use super::super::trouble;
 use super::*;
+use etherpen::ethercat::cyclic::ExchangeKind;
+use etherpen::ethercat::state::AlState;
 
 fn fault(words: &str) -> Fault {
     words.parse().expect("words of the script")
@@ -112,32 +114,130 @@ fn a_search_shows_nothing_about_an_encoder_that_is_mounted_while_it_goes_on() {
     }
 }
 
-/// What the controller has to report of a fault, on a machine that has stood without power and undisturbed for this long.
-fn noticeable(words: &str, calm_ms: u64, is_homed: bool) -> Option<Input> {
-    let config = Config::default();
+/// A machine before a fault.
+#[derive(Clone, Copy)]
+struct Before {
+    mode: Mode,
+    /// For how long nothing was disturbed, ms.
+    calm_ms: u64,
+    is_homed: bool,
+    /// State of the last slave.
+    al_state: AlState,
+    exchange: ExchangeKind,
+    command: Option<Command>,
+    is_serviced: bool,
+}
+
+const CALM: Before = Before {
+    mode: Mode::DrivesOff,
+    calm_ms: 1_001,
+    is_homed: true,
+    al_state: AlState::Operational,
+    exchange: ExchangeKind::Split,
+    command: None,
+    is_serviced: false,
+};
+
+/// Whether the controller has to report a fault.
+fn is_noticeable(words: &str, before: Before) -> bool {
+    let mut config = Config::default();
+    config.bus.exchange = before.exchange;
     let chain = Chain::new(&config);
     let mut notices = Notices::new(&config, &chain);
+    let status = crate::console::status::tests::status(before.mode, None);
+    let mut slaves: heapless::Vec<_, _> = (0..chain.slaves).map(|_| status.slaves[0].clone()).collect();
+    slaves.last_mut().expect("drives").al_state = before.al_state as u8;
     let status = Status {
-        referenced: is_homed,
-        slaves: heapless::Vec::new(),
-        ..crate::console::status::tests::status(Mode::DrivesOff, None)
+        referenced: before.is_homed,
+        slaves,
+        ..status
     };
     notices.reported(&status, &chain);
-    for ms in 0..=calm_ms {
-        notices.step(ms, false, false, false);
+    for ms in 0..=before.calm_ms {
+        notices.step(ms, false, false, before.mode == Mode::Idle);
     }
-    notices.of(fault(words), calm_ms, &chain)
+    if let Some(command) = &before.command {
+        notices.commanded(command);
+    }
+    if before.is_serviced {
+        notices.serviced();
+    }
+    notices.of(fault(words), before.calm_ms, &chain).is_some()
 }
+
+const IDLE: Before = Before {
+    mode: Mode::Idle,
+    ..CALM
+};
 
 #[test]
 fn only_what_nothing_else_disturbs_has_to_be_noticed() {
-    for words in ["pdi 2 400", "jump 3 100000", "power 1 900", "remove 4"] {
-        assert!(noticeable(words, 1_001, true).is_some(), "{words}");
-        assert_eq!(noticeable(words, 100, true), None, "{words}: just disturbed");
+    let noticed = [
+        (
+            CALM,
+            ["pdi 2 900", "jump 3 100000", "power 1 900", "remove 4"].as_slice(),
+        ),
+        (
+            IDLE,
+            ["pdi 2 900", "mute 400", "deaf 2 400", "power 1 900", "remove 4"].as_slice(),
+        ),
+    ];
+    for (machine, faults) in noticed {
+        for words in faults {
+            assert!(is_noticeable(words, machine), "{words}, {:?}", machine.mode);
+            let disturbed = Before {
+                calm_ms: 100,
+                ..machine
+            };
+            assert!(!is_noticeable(words, disturbed), "{words}: just disturbed");
+            let left = Before {
+                al_state: AlState::SafeOperational,
+                ..machine
+            };
+            assert!(!is_noticeable(words, left), "{words}: a drive has left OP");
+            let ordered = Before {
+                command: Some(Command::Home),
+                ..machine
+            };
+            assert!(!is_noticeable(words, ordered), "{words}: a new home is ordered");
+        }
     }
-    for words in ["pdi 2 40", "jump 3 100", "power 1 90", "mute 400", "deaf 2 400", "drop"] {
-        assert_eq!(noticeable(words, 1_001, true), None, "{words}");
+    for words in [
+        "pdi 2 400",
+        "jump 3 100",
+        "power 1 90",
+        "mute 400",
+        "deaf 2 400",
+        "drop",
+    ] {
+        assert!(!is_noticeable(words, CALM), "{words}");
     }
-    assert!(noticeable("pdi 2 400", 1_001, false).is_some());
-    assert_eq!(noticeable("jump 3 100000", 1_001, false), None, "nothing is known");
+    for words in ["pdi 2 400", "jump 3 100000", "mute 6", "deaf 2 6"] {
+        assert!(!is_noticeable(words, IDLE), "{words}");
+    }
+}
+
+#[test]
+fn what_the_machine_cannot_tell_need_not_be_noticed() {
+    let unhomed = Before {
+        is_homed: false,
+        ..CALM
+    };
+    assert!(is_noticeable("pdi 2 900", unhomed));
+    assert!(!is_noticeable("jump 3 100000", unhomed), "nothing is known");
+    let combined = Before {
+        exchange: ExchangeKind::Combined,
+        ..IDLE
+    };
+    assert!(!is_noticeable("mute 400", combined), "no frame carries outputs alone");
+    assert!(is_noticeable("deaf 2 400", combined));
+    let serviced = Before {
+        is_serviced: true,
+        ..CALM
+    };
+    assert!(
+        !is_noticeable("pdi 2 900", serviced),
+        "the supervision waits for a service"
+    );
+    assert!(is_noticeable("power 1 900", serviced));
 }

@@ -135,10 +135,15 @@ pub fn fault(fault: &Fault) -> String {
                 format!("it was exchanged with slave {other}: put the cables or the devices of both places back")
             };
             let hint = match other {
-                // Nothing but the order at the start tells them apart.
+                // Nothing but the order at the start, or what was read then, may tell them apart.
                 Some(other) if property == IdentityProperty::Station => {
                     format!("{}, or reset the board if they are to stay", back(other))
                 }
+                Some(other) if property == IdentityProperty::Serial => format!(
+                    "{}; or reset the board if they are to stay, and correct the serial of the axis in etherpen.toml if it \
+                     names one",
+                    back(other)
+                ),
                 Some(other) => back(other),
                 None => "put the right one back, or correct alias, switch or serial of its axis in etherpen.toml \
                          (etherpen bus scan shows them)"
@@ -387,9 +392,14 @@ mod tests {
                 "{text}"
             );
         }
-        // A reset helps where nothing but the order at the start tells them apart.
-        let told = [IdentityProperty::Station, IdentityProperty::Serial].map(|property| wrong(property, Some(2)));
-        assert_eq!(told.map(|text| text.contains("reset the board")), [true, false]);
+        // A reset helps where nothing but the order at the start, or what was read then, tells them apart.
+        let told = [
+            IdentityProperty::Station,
+            IdentityProperty::Serial,
+            IdentityProperty::Alias,
+        ];
+        let helps = told.map(|property| wrong(property, Some(2)).contains("reset the board"));
+        assert_eq!(helps, [true, true, false]);
         let unknown = wrong(IdentityProperty::Alias, None);
         assert!(
             unknown.contains("slave 2 ") && unknown.contains("etherpen.toml"),
