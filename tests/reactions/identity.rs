@@ -241,7 +241,7 @@ fn put(robot: &mut Robot, from: usize, to: usize, with_power: bool) {
 
 #[test]
 fn a_drive_that_got_the_number_of_another_extra_one_takes_no_axis_that_expects_a_serial_number() {
-    for clocks in [false, true] {
+    for (clocks, comes_with_power) in [(false, false), (false, true), (true, false), (true, true)] {
         let mut robot = with_two_spares(clocks, true);
         robot.inject(CellFault::Remove(2));
         robot.run(1_000);
@@ -262,8 +262,9 @@ fn a_drive_that_got_the_number_of_another_extra_one_takes_no_axis_that_expects_a
             assert_ne!(robot.cell().slaves[1].al_state, AlState::Operational);
         }
         assert_eq!(robot.cell().joints, before, "a motor has moved");
+        // Back at its place, the right one may still have that number too.
         robot.inject(CellFault::Remove(2));
-        put(&mut robot, 5, 2, false);
+        put(&mut robot, 5, 2, comes_with_power);
         come_back(&mut robot, 2);
     }
 }

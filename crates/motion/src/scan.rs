@@ -27,6 +27,14 @@ const COEFFICIENT_SMALL: f64 = 1.0e-15;
 /// that their change with the speed stays finite where the circle ends.
 const CHORD_SMALL: f64 = 1.0e-4;
 
+/// Quarters of an interval, each with the weights of its beginning, middle and end in the rise there, by the parabola through
+/// them, and in the change of the rise: between that parabola and the line through middle and far end, as it grows fastest where
+/// it begins.
+const QUARTERS: [(f64, [f64; 3], [f64; 3]); 2] = [
+    (0.25, [0.375, 0.75, -0.125], [0.1875, 1.125, -0.3125]),
+    (0.75, [-0.125, 0.75, 0.375], [-0.3125, 1.125, 0.1875]),
+];
+
 /// Range of accelerations that an interval allows at one speed, mm/s2.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Range {
@@ -193,10 +201,28 @@ impl Interval<'_> {
             if self.lifts {
                 let b = middle.rise_change;
                 range.restrict_both(middle.rise + b * double, b, limits.pen_acceleration, x);
+                if double >= self.length_mm {
+                    self.restrict_quarters(&mut range, middle, x);
+                }
             }
             range.restrict_circle(middle.curvature, double, limits.acceleration, x);
         }
         range
+    }
+
+    /// Tightens the range by the pen's limit at the quarters of a whole interval. Where the pen begins to rise, the speed may
+    /// fall to a part of itself within one interval, and the vertical acceleration has its peak at a third of the way.
+    fn restrict_quarters(&self, range: &mut Range, middle: &Middle, x: f64) {
+        let weighed = |weights: &[f64; 3], values: [f64; 3]| {
+            weights[0] * values[0] + weights[1] * values[1] + weights[2] * values[2]
+        };
+        for (part, of_rise, of_change) in &QUARTERS {
+            let rise = weighed(of_rise, [self.start.rise, middle.rise, self.end.rise]);
+            let changes = [self.start.rise_change, middle.rise_change, self.end.rise_change];
+            let change = weighed(of_change, changes);
+            let grown = 2.0 * part * self.length_mm;
+            range.restrict_both(rise + change * grown, change, self.limits.pen_acceleration, x);
+        }
     }
 
     /// Largest squared speed, up to `cap`, at which the motion may enter the interval.

@@ -103,16 +103,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             // Above PREOP it may not tell its number.
             state::change(&mut self.port, station, AlState::Init).await?;
         }
-        // From PREOP on its processor has the memory, and some read it for the master only in INIT.
-        information::take(&mut self.port, station).await;
-        let fixed = match information::fixed_part(&mut self.port, station).await {
-            Ok(fixed) => fixed,
-            Err(_) => {
-                state::change(&mut self.port, station, AlState::Init).await?;
-                information::take(&mut self.port, station).await;
-                information::fixed_part(&mut self.port, station).await?
-            }
-        };
+        let fixed = self.fixed_part_again(station).await?;
         let checked = match self.is_same(&slave, &fixed.identity) {
             Ok(()) => self.check_returned(number, station, fixed.identity).await,
             Err(error) => Err(error),
@@ -224,8 +215,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return Ok(());
         };
         let at = |step| Failure::of(slave.position, step);
-        if let Some(extra) = self.extra_with_serial_of(number, places) {
-            return self.take_back_extra(number, extra).await.map_err(at(Step::Identify));
+        if self.take_back_extra(number, places).await.map_err(at(Step::Identify))? {
+            return Ok(());
         }
         let strangers = self.strangers_between(number, places);
         let missing = self.missing_between(number, places);
@@ -262,9 +253,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             }
             self.name(0).await.map_err(at(Step::Identify))?;
         }
-        let extra = self.extra_between(number, places, |extra| extra.is_of_product(&slave.identity()));
-        let stands_there = extra.and_then(|extra| Some(other_serial(&slave, self.slaves.get(extra)?)));
-        match other.or(stands_there) {
+        match other {
             Some(error) => Err(at(Step::Identify)(error)),
             None => Err(at(Step::Locate)(BusError::SlaveCount {
                 expected: self.slaves.len() as u16,
@@ -273,50 +262,57 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         }
     }
 
-    /// The extra slave between a lost one's neighbours that has its serial number: it returned at another place, where it
-    /// got a number of its own, and was then put back with power.
-    fn extra_with_serial_of(&self, number: usize, places: &Places) -> Option<usize> {
-        let lost = self.slaves.get(number)?.identity();
-        self.extra_between(number, places, |extra| {
-            let extra = extra.identity();
-            let is_equal = (extra.vendor, extra.product, extra.serial) == (lost.vendor, lost.product, lost.serial);
-            is_equal && lost.serial != 0
-        })
-    }
-
-    /// The first extra slave between a slave's neighbours that is wanted.
-    fn extra_between(&self, number: usize, places: &Places, is_wanted: impl Fn(&Slave<F>) -> bool) -> Option<usize> {
-        let between = places.get(self.between(number, places))?;
-        let mut extras = (0..).zip(&self.slaves).skip(self.ordered.max(number + 1));
-        let extra =
-            extras.find(|(_, extra)| !extra.is_used() && is_wanted(extra) && between.contains(&extra.station()));
-        extra.map(|(extra, _)| extra)
-    }
-
-    /// Gives an extra slave the address of the lost one that it is.
+    /// Gives the lost one's address to the extra slave between its neighbours that has its serial number, if there is one: it
+    /// returned at another place, where it got a number of its own, and was then put back with power. What is known of extra
+    /// slaves may be old: the next one of a product gets the number of one that has gone.
     ///
     /// # Errors
-    /// [`BusError::WrongSlave`] if it is another one by now: what was plugged in later may have got its address.
-    async fn take_back_extra(&mut self, number: usize, extra: usize) -> Result<(), BusError> {
-        let (Some(lost), Some(found)) = (self.slaves.get(number).copied(), self.slaves.get(extra).copied()) else {
-            return Ok(());
+    /// It is not what is expected at the place, or does not answer.
+    async fn take_back_extra(&mut self, number: usize, places: &Places) -> Result<bool, BusError> {
+        let is_told = |slave: &Slave<F>| slave.identity().serial != 0;
+        let Some(lost) = self.slaves.get(number).copied().filter(is_told) else {
+            return Ok(false);
         };
-        information::take(&mut self.port, found.station()).await;
-        let fixed = information::fixed_part(&mut self.port, found.station()).await?;
-        if fixed.identity != found.identity() {
-            self.take_place(extra, fixed, KnownIdentity::default());
-            information::give_to_slave(&mut self.port, found.station()).await;
-            return Err(other_serial(&lost, &Slave { fixed, ..found }));
+        let between = places.get(self.between(number, places)).unwrap_or_default();
+        for extra in self.ordered.max(number + 1)..self.slaves.len() {
+            let may_be = |slave: &&Slave<F>| {
+                !slave.is_used() && between.contains(&slave.station()) && slave.is_of_product(&lost.identity())
+            };
+            let Some(station) = self.slaves.get(extra).filter(may_be).map(Slave::station) else {
+                continue;
+            };
+            let read = self.fixed_part_again(station).await;
+            information::give_to_slave(&mut self.port, station).await;
+            let Ok(fixed) = read else { continue };
+            if !has_serial_of(&lost, &fixed.identity) || !lost.is_of_product(&fixed.identity) {
+                self.take_place(extra, fixed, KnownIdentity::default());
+                continue;
+            }
+            let known = self.check_returned(number, station, fixed.identity).await?;
+            discovery::rename(&mut self.port, station, lost.station()).await?;
+            self.clocks.was_off(number);
+            if let Some(extra) = self.slaves.get_mut(extra) {
+                (extra.condition, extra.report) = (Condition::Lost, AlReport::default());
+            }
+            self.take_place(number, fixed, known);
+            self.introduce(extra).await;
+            return Ok(true);
         }
-        let known = self.check_returned(number, found.station(), fixed.identity).await?;
-        discovery::rename(&mut self.port, found.station(), lost.station()).await?;
-        self.clocks.was_off(number);
-        if let Some(extra) = self.slaves.get_mut(extra) {
-            (extra.condition, extra.report) = (Condition::Lost, AlReport::default());
+        Ok(false)
+    }
+
+    /// The fixed part of a slave in any state.
+    async fn fixed_part_again(&mut self, station: u16) -> Result<FixedPart, BusError> {
+        // From PREOP on its processor has the memory, and some read it for the master only in INIT.
+        information::take(&mut self.port, station).await;
+        match information::fixed_part(&mut self.port, station).await {
+            Ok(fixed) => Ok(fixed),
+            Err(_) => {
+                state::change(&mut self.port, station, AlState::Init).await?;
+                information::take(&mut self.port, station).await;
+                information::fixed_part(&mut self.port, station).await
+            }
         }
-        self.take_place(number, fixed, known);
-        self.introduce(extra).await;
-        Ok(())
     }
 
     /// Notes the slave that has taken the place of one that was not wanted there. Where it was an extra slave before, it is
@@ -533,16 +529,6 @@ fn twice(places: &Places) -> Option<u16> {
 fn has_other_serial<F: SlaveFactory>(slave: &Slave<F>, identity: &Identity) -> bool {
     let known = slave.identity().serial;
     known != 0 && identity.serial != 0 && identity.serial != known
-}
-
-/// The error of an extra slave that stands where another one of its product is missing.
-fn other_serial<F: SlaveFactory>(missing: &Slave<F>, extra: &Slave<F>) -> BusError {
-    BusError::WrongSlave {
-        property: IdentityProperty::Serial,
-        expected: missing.identity().serial,
-        actual: extra.identity().serial,
-        other: Some(extra.position as u8),
-    }
 }
 
 /// Whether an identity has a slave's own serial number.
