@@ -241,12 +241,22 @@ enum Interruption {
 
 #[test]
 pub(crate) fn a_terminal_that_lost_power_with_a_damaged_memory_comes_back_once_it_is_whole() {
-    for interruption in [Interruption::Damaged, Interruption::Whole, Interruption::Twice] {
+    let interruptions = [Interruption::Damaged, Interruption::Whole, Interruption::Twice];
+    let faults = [SiiFault::Damaged, SiiFault::Blank];
+    // Cut off, it is identified again before it is repaired.
+    let all = interruptions.into_iter().flat_map(|interruption| {
+        let cases = faults
+            .into_iter()
+            .flat_map(|fault| [false, true].map(|is_cut_off| (fault, is_cut_off)));
+        cases.map(move |(fault, is_cut_off)| (interruption, fault, is_cut_off))
+    });
+    for case in all {
+        let (interruption, fault, is_cut_off) = case;
         let mut rig = rig_of(
             parse_slaves("ek1100,el1008,ax2000*4,el2004").unwrap(),
             ExchangeKind::Split,
         );
-        rig.cell.inject(Fault::Sii(2, SiiFault::Damaged));
+        rig.cell.inject(Fault::Sii(2, fault));
         rig.start();
         if !matches!(interruption, Interruption::Whole) {
             rig.cell.inject(Fault::Power(2, 133));
@@ -258,15 +268,21 @@ pub(crate) fn a_terminal_that_lost_power_with_a_damaged_memory_comes_back_once_i
             rig.cell.inject(Fault::Power(2, 133));
         }
         rig.run_ms(300);
+        if is_cut_off {
+            rig.cell.inject(Fault::Cut(1));
+            rig.run_ms(300);
+            rig.cell.inject(Fault::Join);
+            rig.run_ms(300);
+        }
         rig.recover();
         rig.run_ms(REPAIR_MS);
         rig.cell.set_inputs(2, &[0x3C]);
         rig.run_ms(THROUGH_MS);
-        assert_eq!(rig.input_bits(1, 0, 8), Some(0x3C), "{interruption:?}: {:#?}", rig.log);
+        assert_eq!(rig.input_bits(1, 0, 8), Some(0x3C), "{case:?}: {:#?}", rig.log);
         rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
-        assert!(rig.set_output_bits(6, 0, 4, 0x6), "{interruption:?}");
+        assert!(rig.set_output_bits(6, 0, 4, 0x6), "{case:?}");
         rig.run_ms(THROUGH_MS);
-        assert_eq!(rig.cell.outputs(7), Some(vec![0x6]), "{interruption:?}");
+        assert_eq!(rig.cell.outputs(7), Some(vec![0x6]), "{case:?}");
     }
 }
 

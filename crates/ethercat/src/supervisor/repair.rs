@@ -101,7 +101,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let station = slave.station();
         if self.compares_switches() {
             // Above PREOP it may not tell its number.
-            state::change(&mut self.port, station, AlState::Init).await?;
+            self.go_to_init(number).await?;
         }
         let fixed = self.fixed_part_again(station).await?;
         let checked = match self.is_same(&slave, &fixed.identity) {
@@ -121,7 +121,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let is_new = fixed != slave.fixed;
         if is_new {
             // Whatever ends this repair, the slave is not resumed with the settings that it came with.
-            state::change(&mut self.port, station, AlState::Init).await?;
+            self.go_to_init(number).await?;
             self.clocks.was_off(number);
             self.take_place(number, fixed, known);
         }
@@ -299,6 +299,12 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return Ok(true);
         }
         Ok(false)
+    }
+
+    /// Takes a slave to INIT, also one that was switched on with a memory that could not be read.
+    async fn go_to_init(&mut self, number: usize) -> Result<(), BusError> {
+        let reached = self.change_state(number, AlState::Init, Step::Identify).await;
+        reached.map_err(|failure| failure.error)
     }
 
     /// The fixed part of a slave in any state.
