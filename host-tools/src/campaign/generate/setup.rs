@@ -53,7 +53,8 @@ pub(super) fn vary(episode: &mut Episode, machine: &Machine, seed: u64, chance: 
         episode.config.insert("bus.exchange".into(), combined);
     }
     let mut folding = Chance::new(seed ^ FOLD_SEED);
-    if !machine.config.has_home_switches() && folding.one_in(4) {
+    // Drives in torque mode follow well near the work area only: folded, the joints have less inertia than is configured.
+    if !machine.config.has_home_switches() && folding.one_in(4) && !is_by_torque {
         fold(episode, &mut folding);
     }
 }
