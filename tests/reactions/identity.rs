@@ -257,8 +257,14 @@ fn a_drive_that_got_the_number_of_another_extra_one_takes_no_axis_that_expects_a
         put(&mut robot, 6, 2, true);
         let before = robot.cell().joints;
         for _ in 0..3 {
-            let left = acknowledge(&mut robot);
-            assert!(left.is_some(), "clocks {clocks}: another drive has taken the axis");
+            let named = Fault::WrongSlave {
+                slave: 1,
+                property: IdentityProperty::Serial,
+                expected: u32::from(FIRST) + 1,
+                found: u32::from(FIRST) + 5,
+                other: None,
+            };
+            assert_eq!(acknowledge(&mut robot), Some(named), "clocks {clocks}: it was expected");
             assert_ne!(robot.cell().slaves[1].al_state, AlState::Operational);
         }
         assert_eq!(robot.cell().joints, before, "a motor has moved");

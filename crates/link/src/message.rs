@@ -117,7 +117,7 @@ pub struct PathAck {
     pub executed: u32,
     /// Whether the end of the path was received.
     pub complete: bool,
-    /// Whether the path was executed to its end.
+    /// Whether the path was executed to its end; never if a vertex of it was refused.
     pub finished: bool,
 }
 

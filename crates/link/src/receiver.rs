@@ -75,8 +75,10 @@ impl<P: Protocol> PathReceiver<P> {
         (taken, dropped)
     }
 
-    /// Sets the progress of the execution and the present room.
+    /// Sets the progress of the execution and the present room. A path of which a vertex was refused is never finished: it ends
+    /// before that vertex.
     pub(crate) fn acknowledge(&mut self, executed: u32, free: usize, finished: bool) {
+        let finished = finished && self.refusal.is_none();
         let ack = PathAck {
             credit: if self.open { credit(free) } else { 0 },
             executed,
@@ -93,7 +95,7 @@ impl<P: Protocol> PathReceiver<P> {
         self.ack_due = true;
     }
 
-    /// Takes no more vertices; sends the reason now and whenever the host continues to send.
+    /// Takes no more vertices; sends the reason now, and behind each acknowledgement: it may be lost on the line.
     pub(crate) fn refuse(&mut self, refusal: P::VertexRefusal) {
         self.close();
         self.refusal = Some(refusal);
@@ -126,6 +128,7 @@ impl<P: Protocol> PathReceiver<P> {
         self.ack_due = false;
         self.changed = false;
         self.ack_sent_ms = now_ms;
+        self.refusal_due = self.refusal.is_some();
         Some(DeviceMessage::Ack(ack))
     }
 }
@@ -174,6 +177,27 @@ mod tests {
         let mut receiver = receiver();
         assert_eq!(receiver.take(0, part(0, 0), false, 9), (None, false));
         assert_eq!(receiver.take(0, part(0, 0), true, 0), (Some((part(0, 0), true)), false));
+    }
+
+    #[test]
+    fn a_refused_path_is_never_finished_and_its_refusal_is_repeated() {
+        let mut receiver = receiver();
+        let refused = Some(DeviceMessage::VertexRefused { job: 3, refusal: 2 });
+        receiver.refuse(2);
+        assert_eq!(receiver.next_message(1), refused);
+        let mut counts = [0; 2];
+        for now_ms in 2..1_000 {
+            // What came before that vertex is executed to its end.
+            receiver.acknowledge(7, 50, now_ms > 100);
+            match receiver.next_message(now_ms) {
+                Some(DeviceMessage::Ack(ack)) => {
+                    assert!(!ack.finished, "{now_ms}");
+                    counts[0] += 1;
+                }
+                other => counts[1] += usize::from(other == refused),
+            }
+        }
+        assert!(counts[0] > 8 && counts[1] == counts[0], "{counts:?}");
     }
 
     #[test]

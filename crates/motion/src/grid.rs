@@ -88,6 +88,7 @@ impl GridPoint {
             turn_change: self.span.turn_change,
             lifts: self.span.lifts,
             middle: (self.span.curved && ahead_mm > 0.0).then_some((self.span.middle, ahead_mm)),
+            has_quarters: offset_mm <= 0.0,
         }
     }
 

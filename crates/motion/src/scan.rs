@@ -2,7 +2,8 @@
 //!
 //! With x the squared path speed and u the path acceleration, every limit is a row a u + b x <= c, and an interval of
 //! length l leads from x to x + 2 l u. The scan runs backwards from a point at rest. The largest x of each point is the
-//! largest for which some u obeys the rows at both ends of the interval (on a curve those in its middle too) and leads
+//! largest for which some u obeys the rows at both ends of the interval (on a curve those in its middle too, and the pen's at
+//! its quarters) and leads
 //! to a speed from which rest can be reached (after Pham and Pham, "A new approach to time-optimal path
 //! parameterization based on reachability analysis"). The width of the range of u is a concave function of x made of
 //! straight stretches, and of arcs where the Cartesian acceleration counts. Newton's method from the right finds its
@@ -125,6 +126,8 @@ pub(crate) struct Interval<'a> {
     pub(crate) lifts: bool,
     /// Limits in the middle of a curve, and the distance to that middle, mm.
     pub(crate) middle: Option<(Middle, f64)>,
+    /// Whether that middle is the one of this interval: then the pen's limit applies at the quarters too.
+    pub(crate) has_quarters: bool,
 }
 
 /// Limits in the middle of an interval; on a curve they can be tighter there than at both ends.
@@ -201,7 +204,7 @@ impl Interval<'_> {
             if self.lifts {
                 let b = middle.rise_change;
                 range.restrict_both(middle.rise + b * double, b, limits.pen_acceleration, x);
-                if double >= self.length_mm {
+                if self.has_quarters {
                     self.restrict_quarters(&mut range, middle, x);
                 }
             }
@@ -210,7 +213,7 @@ impl Interval<'_> {
         range
     }
 
-    /// Tightens the range by the pen's limit at the quarters of a whole interval. Where the pen begins to rise, the speed may
+    /// Tightens the range by the pen's limit at the quarters. Where the pen begins to rise, the speed may
     /// fall to a part of itself within one interval, and the vertical acceleration has its peak at a third of the way.
     fn restrict_quarters(&self, range: &mut Range, middle: &Middle, x: f64) {
         let weighed = |weights: &[f64; 3], values: [f64; 3]| {
@@ -339,6 +342,7 @@ mod tests {
                     },
                     0.5 * length_mm,
                 )),
+                has_quarters: number() > 0.0,
             };
             let cap = 1.6e5;
             let x = interval.entry_max(cap);
@@ -369,6 +373,7 @@ mod tests {
             turn_change: 0.0,
             lifts: false,
             middle: None,
+            has_quarters: false,
         };
         let expected = 2.0 * 2.0 * limits.acceleration;
         assert!((interval.entry_max(1.0e9) - expected).abs() < 1.0e-6 * expected);

@@ -26,13 +26,17 @@ const SAMPLES: [(&str, &str); 5] = [
     ("tolerance", include_str!("../../../../samples/motion/tolerance.csv")),
 ];
 
+/// Seeds of paths that lose most of their speed within one interval of the grid as the pen begins to rise, or gain it as the
+/// pen has come down.
+const SUDDEN: [u64; 4] = [10_564, 17_805, 34_316, 41_750];
+
 /// Allowed excess of a quantity in continuous time. On 1,500 random paths the largest peaks were 4.2 % (tool), 9.3 %
-/// (joints) and 11.6 % (pen) over the limit.
+/// (joints) and 2.3 % (pen) over the limit.
 fn excess(quantity: Quantity) -> f64 {
     match quantity {
         Quantity::Acceleration => 0.06,
         Quantity::JointAcceleration(1..=3) => 0.15,
-        Quantity::PenAcceleration => 0.15,
+        Quantity::PenAcceleration => 0.04,
         _ => EXCESS,
     }
 }
@@ -201,6 +205,19 @@ fn random_paths(kind: RobotKind, seeds: std::ops::Range<u64>) {
 #[test]
 fn random_paths_keep_every_limit_but_for_peaks_of_the_acceleration() {
     random_paths(RobotKind::Delta, 1..PATHS + 1);
+}
+
+#[test]
+fn a_pen_that_begins_to_rise_as_the_path_slows_down_keeps_its_limit_but_for_small_peaks() {
+    let mut tally = Tally::default();
+    for seed in SUDDEN {
+        let mut random = Random::new(seed);
+        let settings = settings(&mut random, RobotKind::Delta);
+        let path = fitted(&stroke(&mut random, &settings), &settings);
+        tally.add(&format!("seed {seed}"), &certify(&settings, &path, EXCESS, |_| ()));
+    }
+    tally.show("sudden paths");
+    tally.assert_known();
 }
 
 #[test]

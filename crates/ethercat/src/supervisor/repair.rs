@@ -101,7 +101,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let station = slave.station();
         if self.compares_switches() {
             // Above PREOP it may not tell its number.
-            self.go_to_init(number).await?;
+            self.go_to_init(station).await?;
         }
         let fixed = self.fixed_part_again(station).await?;
         let checked = match self.is_same(&slave, &fixed.identity) {
@@ -121,7 +121,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let is_new = fixed != slave.fixed;
         if is_new {
             // Whatever ends this repair, the slave is not resumed with the settings that it came with.
-            self.go_to_init(number).await?;
+            self.go_to_init(station).await?;
             self.clocks.was_off(number);
             self.take_place(number, fixed, known);
         }
@@ -267,13 +267,14 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     /// slaves may be old: the next one of a product gets the number of one that has gone.
     ///
     /// # Errors
-    /// It is not what is expected at the place, or does not answer.
+    /// An extra slave there cannot be read, or another one is in the place of a member.
     async fn take_back_extra(&mut self, number: usize, places: &Places) -> Result<bool, BusError> {
         let is_told = |slave: &Slave<F>| slave.identity().serial != 0;
         let Some(lost) = self.slaves.get(number).copied().filter(is_told) else {
             return Ok(false);
         };
         let between = places.get(self.between(number, places)).unwrap_or_default();
+        let mut other = None;
         for extra in self.ordered.max(number + 1)..self.slaves.len() {
             let may_be = |slave: &&Slave<F>| {
                 !slave.is_used() && between.contains(&slave.station()) && slave.is_of_product(&lost.identity())
@@ -283,28 +284,59 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             };
             let read = self.fixed_part_again(station).await;
             information::give_to_slave(&mut self.port, station).await;
-            let Ok(fixed) = read else { continue };
-            if !has_serial_of(&lost, &fixed.identity) || !lost.is_of_product(&fixed.identity) {
-                self.take_place(extra, fixed, KnownIdentity::default());
-                continue;
+            match read {
+                Ok(fixed) if has_serial_of(&lost, &fixed.identity) && lost.is_of_product(&fixed.identity) => {
+                    self.give_place(number, extra, fixed).await?;
+                    return Ok(true);
+                }
+                Ok(fixed) => {
+                    self.take_place(extra, fixed, KnownIdentity::default());
+                    other = other.or(self.is_wrong_there(&lost, &fixed.identity, places));
+                }
+                Err(error) => other = other.or(Some(error)),
             }
-            let known = self.check_returned(number, station, fixed.identity).await?;
-            discovery::rename(&mut self.port, station, lost.station()).await?;
-            self.clocks.was_off(number);
-            if let Some(extra) = self.slaves.get_mut(extra) {
-                (extra.condition, extra.report) = (Condition::Lost, AlReport::default());
-            }
-            self.take_place(number, fixed, known);
-            self.introduce(extra).await;
-            return Ok(true);
         }
-        Ok(false)
+        other.map_or(Ok(false), Err)
     }
 
-    /// Takes a slave to INIT, also one that was switched on with a memory that could not be read.
-    async fn go_to_init(&mut self, number: usize) -> Result<(), BusError> {
-        let reached = self.change_state(number, AlState::Init, Step::Identify).await;
-        reached.map_err(|failure| failure.error)
+    /// The error of a slave that has taken the place of a member with power, if its place is certain: behind the last one there
+    /// may be any others.
+    fn is_wrong_there(&self, lost: &Slave<F>, found: &Identity, places: &Places) -> Option<BusError> {
+        let number = usize::from(lost.position);
+        let mut ranks = places.iter().filter_map(|station| self.rank_of(*station));
+        let is_certain = lost.member.is_some() && has_other_serial(lost, found) && ranks.any(|rank| rank > number);
+        is_certain.then_some(BusError::WrongSlave {
+            property: IdentityProperty::Serial,
+            expected: lost.identity().serial,
+            actual: found.serial,
+            other: None,
+        })
+    }
+
+    /// Gives an extra slave the place of the lost one that it is.
+    async fn give_place(&mut self, number: usize, extra: usize, fixed: FixedPart) -> Result<(), BusError> {
+        let stations = [number, extra].map(|number| STATION_BASE.wrapping_add(number as u16));
+        let known = self.check_returned(number, stations[1], fixed.identity).await?;
+        discovery::rename(&mut self.port, stations[1], stations[0]).await?;
+        self.clocks.was_off(number);
+        if let Some(extra) = self.slaves.get_mut(extra) {
+            (extra.condition, extra.report) = (Condition::Lost, AlReport::default());
+        }
+        self.take_place(number, fixed, known);
+        self.introduce(extra).await;
+        Ok(())
+    }
+
+    /// Takes a slave to INIT, also one that was switched on with a memory that could not be read: its controller loads its
+    /// configuration first.
+    async fn go_to_init(&mut self, station: u16) -> Result<(), BusError> {
+        match state::change(&mut self.port, station, AlState::Init).await {
+            Err(BusError::RequestUnread { .. }) => {
+                information::load_again(&mut self.port, station).await;
+                state::change(&mut self.port, station, AlState::Init).await
+            }
+            reached => reached,
+        }
     }
 
     /// The fixed part of a slave in any state.
@@ -314,7 +346,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         match information::fixed_part(&mut self.port, station).await {
             Ok(fixed) => Ok(fixed),
             Err(_) => {
-                state::change(&mut self.port, station, AlState::Init).await?;
+                self.go_to_init(station).await?;
                 information::take(&mut self.port, station).await;
                 information::fixed_part(&mut self.port, station).await
             }

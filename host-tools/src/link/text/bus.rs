@@ -333,7 +333,7 @@ pub(super) fn bring_up_code(step: u8, code: u32) -> (String, &'static str) {
         (
             Step::Locate,
             "it is not where it was before",
-            "check its supply and the order of the cables; where another one stands in its place on purpose, reset the board",
+            "check its supply and the order of the cables",
         ),
         (
             Step::Objects,

@@ -145,6 +145,11 @@ pub fn fault(fault: &Fault) -> String {
                     back(other)
                 ),
                 Some(other) => back(other),
+                None if property == IdentityProperty::Serial => {
+                    "put the right one back, or reset the board if this one is to stay, with its serial at the axis in \
+                     etherpen.toml if that names one (etherpen bus scan shows it)"
+                        .to_owned()
+                }
                 None => "put the right one back, or correct alias, switch or serial of its axis in etherpen.toml \
                          (etherpen bus scan shows them)"
                     .to_owned(),
