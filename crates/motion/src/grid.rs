@@ -88,7 +88,6 @@ impl GridPoint {
             turn_change: self.span.turn_change,
             lifts: self.span.lifts,
             middle: (self.span.curved && ahead_mm > 0.0).then_some((self.span.middle, ahead_mm)),
-            has_quarters: offset_mm <= 0.0,
         }
     }
 

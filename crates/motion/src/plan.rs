@@ -515,7 +515,6 @@ impl Plan {
         let mut interval = here.interval(&self.limits, &start, next, self.offset_mm);
         if here.span.curved && interval.middle.is_none() {
             interval.middle = self.middle_of_rest(here, &start, &next.row, left_mm);
-            interval.has_quarters = true;
         }
         let ends = next_number.wrapping_add(1) == self.points.end() && !next.stop;
         let stretch = match pace {

@@ -28,6 +28,9 @@ const COEFFICIENT_SMALL: f64 = 1.0e-15;
 /// that their change with the speed stays finite where the circle ends.
 const CHORD_SMALL: f64 = 1.0e-4;
 
+/// The pen begins to rise where the rise at one end of an interval is less than this part of that at the other.
+const BEGINNING_PART: f64 = 0.25;
+
 /// Quarters of an interval, each with the weights of its beginning, middle and end in the rise there, by the parabola through
 /// them, and in the change of the rise: between that parabola and the line through middle and far end, as it grows fastest where
 /// it begins.
@@ -126,8 +129,6 @@ pub(crate) struct Interval<'a> {
     pub(crate) lifts: bool,
     /// Limits in the middle of a curve, and the distance to that middle, mm.
     pub(crate) middle: Option<(Middle, f64)>,
-    /// Whether that middle is the one of this interval: then the pen's limit applies at the quarters too.
-    pub(crate) has_quarters: bool,
 }
 
 /// Limits in the middle of an interval; on a curve they can be tighter there than at both ends.
@@ -204,7 +205,8 @@ impl Interval<'_> {
             if self.lifts {
                 let b = middle.rise_change;
                 range.restrict_both(middle.rise + b * double, b, limits.pen_acceleration, x);
-                if self.has_quarters {
+                // The middle is the one of this interval.
+                if double == self.length_mm && begins(self.start.rise, self.end.rise) {
                     self.restrict_quarters(&mut range, middle, x);
                 }
             }
@@ -295,6 +297,13 @@ impl Interval<'_> {
     }
 }
 
+/// Whether the pen begins or ends to rise, or to come down, on an interval with these rises at its ends: elsewhere its limit
+/// holds within what holds at the ends and in the middle.
+fn begins(rise_from: f64, rise_to: f64) -> bool {
+    let (one, other) = (rise_from.abs(), rise_to.abs());
+    one.min(other) < BEGINNING_PART * one.max(other)
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -342,7 +351,6 @@ mod tests {
                     },
                     0.5 * length_mm,
                 )),
-                has_quarters: number() > 0.0,
             };
             let cap = 1.6e5;
             let x = interval.entry_max(cap);
@@ -373,7 +381,6 @@ mod tests {
             turn_change: 0.0,
             lifts: false,
             middle: None,
-            has_quarters: false,
         };
         let expected = 2.0 * 2.0 * limits.acceleration;
         assert!((interval.entry_max(1.0e9) - expected).abs() < 1.0e-6 * expected);

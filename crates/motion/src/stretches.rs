@@ -99,7 +99,6 @@ fn acceleration_to_middle(interval: &Interval<'_>, half_mm: f64, x: f64) -> f64 
     let range = Interval {
         length_mm: half_mm,
         end_squared: f64::MAX,
-        has_quarters: false,
         ..*interval
     }
     .range(x);
