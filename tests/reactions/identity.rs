@@ -299,3 +299,27 @@ fn a_drive_that_was_repaired_takes_its_axis_again_after_a_spare_one() {
         come_back(&mut robot, 2);
     }
 }
+
+#[test]
+fn a_spare_drive_beside_an_axis_keeps_it_from_nothing() {
+    for (clocks, expects_serials) in [(false, false), (false, true), (true, false), (true, true)] {
+        let mut robot = with_two_spares(clocks, expects_serials);
+        // The spare one between the second and the third axis: the chain is longer by one there.
+        for (one, other) in [(5, 4), (4, 3)] {
+            robot.inject(CellFault::Remove(one.max(other)));
+            robot.inject(CellFault::Recable(one, other));
+        }
+        robot.run(700);
+        for place in [3, 4, 5] {
+            robot.inject(CellFault::Insert(place));
+        }
+        robot.run(1_000);
+        come_back(&mut robot, 3);
+        let slaves = robot.status.as_ref().unwrap().slaves.len();
+        assert_eq!(slaves, 5, "the spare one is known");
+        robot.inject(CellFault::Power(2, 300));
+        robot.run(1_000);
+        robot.wait_for(Mode::Fault);
+        come_back(&mut robot, 2);
+    }
+}

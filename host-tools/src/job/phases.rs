@@ -244,6 +244,16 @@ impl Job {
                 self.ack = *ack;
                 self.enter(Phase::Resting);
             }
+            // A vertex was refused, or somebody else has cancelled it.
+            (Mode::Idle, Some(ack)) if waited_ms > ARRIVAL_MAX_MS => {
+                self.ack = *ack;
+                self.ending.get_or_insert(JobError::EndedEarly {
+                    executed: ack.executed,
+                    total: drawing.vertices.len(),
+                });
+                self.enter(Phase::Resting);
+            }
+            (Mode::Idle, Some(_)) => {}
             _ => self.fail(JobError::NotHeld(mode)),
         }
     }

@@ -360,8 +360,8 @@ impl Work {
         }
     }
 
-    /// Ends an interrupted drawing once it is clear that the firmware no longer has it. A drawing that the firmware
-    /// finished while it was not connected is completed.
+    /// Ends an interrupted drawing once it is clear that the firmware no longer has it. A drawing that has ended while the
+    /// firmware was not connected, at its end or before, is completed: what was drawn of it is told.
     fn end_forgotten(&mut self, now_ms: u64) {
         let Some(number) = self.interrupted_number() else {
             return;
@@ -370,14 +370,13 @@ impl Work {
         let Some(status) = job.status() else { return };
         let known_ms = *self.known_ms.get_or_insert(now_ms);
         let held = job.held_path().filter(|ack| ack.job == number);
-        let (mode, finished) = (status.mode, held.is_some_and(|ack| ack.finished));
-        let error = match (mode, status.fault) {
+        let waits = now_ms.saturating_sub(known_ms) <= ARRIVAL_MAX_MS;
+        let has_ended = held.is_some_and(|ack| ack.finished || !waits);
+        let error = match (status.mode, status.fault) {
             (Mode::Fault, Some(fault)) => JobError::Fault { fault, before: false },
             (Mode::Startup | Mode::BusConfiguring | Mode::DrivesOff | Mode::Unreferenced, _) => JobError::Forgotten,
-            (Mode::Idle, _) if finished => return self.resume(std::sync::mpsc::channel().0),
-            (Mode::Idle | Mode::Moving, _) if held.is_none() && now_ms.saturating_sub(known_ms) > ARRIVAL_MAX_MS => {
-                JobError::Forgotten
-            }
+            (Mode::Idle, _) if has_ended => return self.resume(std::sync::mpsc::channel().0),
+            (Mode::Idle | Mode::Moving, _) if held.is_none() && !waits => JobError::Forgotten,
             _ => return,
         };
         self.forget(&Failure::from(&error));

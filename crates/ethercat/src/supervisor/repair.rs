@@ -101,7 +101,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let station = slave.station();
         if self.compares_switches() {
             // Above PREOP it may not tell its number.
-            self.go_to_init(station).await?;
+            self.go_to_init(number).await?;
         }
         let fixed = self.fixed_part_again(station).await?;
         let checked = match self.is_same(&slave, &fixed.identity) {
@@ -121,7 +121,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let is_new = fixed != slave.fixed;
         if is_new {
             // Whatever ends this repair, the slave is not resumed with the settings that it came with.
-            self.go_to_init(station).await?;
+            self.go_to_init(number).await?;
             self.clocks.was_off(number);
             self.take_place(number, fixed, known);
         }
@@ -215,9 +215,12 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return Ok(());
         };
         let at = |step| Failure::of(slave.position, step);
-        if self.take_back_extra(number, places).await.map_err(at(Step::Identify))? {
-            return Ok(());
-        }
+        // Extra slaves beside it may be any others: they count only where nothing else fits.
+        let beside = match self.take_back_extra(number, places).await {
+            Ok(true) => return Ok(()),
+            Ok(false) => None,
+            Err(error) => Some(error),
+        };
         let strangers = self.strangers_between(number, places);
         let missing = self.missing_between(number, places);
         // With all of them there, each has to be at its place.
@@ -253,7 +256,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             }
             self.name(0).await.map_err(at(Step::Identify))?;
         }
-        match other {
+        match other.or(beside) {
             Some(error) => Err(at(Step::Identify)(error)),
             None => Err(at(Step::Locate)(BusError::SlaveCount {
                 expected: self.slaves.len() as u16,
@@ -328,12 +331,19 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     }
 
     /// Takes a slave to INIT, also one that was switched on with a memory that could not be read: its controller loads its
-    /// configuration first.
-    async fn go_to_init(&mut self, station: u16) -> Result<(), BusError> {
-        match state::change(&mut self.port, station, AlState::Init).await {
+    /// configuration first. Waits for the processor of a member that still starts up.
+    async fn go_to_init(&mut self, number: usize) -> Result<(), BusError> {
+        let Some(slave) = self.slaves.get(number).copied() else {
+            return Ok(());
+        };
+        if slave.member.is_some() {
+            let reached = self.change_state(number, AlState::Init, Step::Identify).await;
+            return reached.map_err(|failure| failure.error);
+        }
+        match state::change(&mut self.port, slave.station(), AlState::Init).await {
             Err(BusError::RequestUnread { .. }) => {
-                information::load_again(&mut self.port, station).await;
-                state::change(&mut self.port, station, AlState::Init).await
+                information::load_again(&mut self.port, slave.station()).await;
+                state::change(&mut self.port, slave.station(), AlState::Init).await
             }
             reached => reached,
         }
@@ -346,7 +356,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         match information::fixed_part(&mut self.port, station).await {
             Ok(fixed) => Ok(fixed),
             Err(_) => {
-                self.go_to_init(station).await?;
+                state::change(&mut self.port, station, AlState::Init).await?;
                 information::take(&mut self.port, station).await;
                 information::fixed_part(&mut self.port, station).await
             }

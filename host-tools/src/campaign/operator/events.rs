@@ -167,6 +167,8 @@ impl Operator<'_> {
             self.inject(&format!("swap {slave} {name}"));
         }
         self.judge.healed();
+        // A refusal that is repeated is that of the drawing before.
+        self.session.end_path();
         (self.jog, self.job) = (None, self.job.wrapping_add(1));
     }
 }

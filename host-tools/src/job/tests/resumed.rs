@@ -57,3 +57,24 @@ fn another_drawing_than_the_one_that_is_held_is_refused_and_nothing_is_commanded
     assert_eq!(second.outcome(), Some(&Err(JobError::NotHeld(Mode::Holding))));
     assert_eq!((&rig.commands, rig.mode), (&commands, Mode::Holding));
 }
+
+#[test]
+fn a_drawing_that_ended_early_while_nobody_was_connected_is_told_as_such() {
+    let (mut rig, now_ms) = left_behind(1_000, 400);
+    // Its next vertex was refused, or somebody at the board has cancelled it.
+    rig.mode = Mode::Idle;
+    let executed = rig.executed;
+    let left = DrawTask {
+        held: true,
+        ..DrawTask::new(path(1_000))
+    };
+    let mut second = with_task(Task::Draw(left), 2);
+    go_on(&mut rig, &mut second, now_ms);
+    let early = JobError::EndedEarly { executed, total: 1_000 };
+    assert_eq!(second.outcome(), Some(&Err(early)));
+    let draws = rig
+        .commands
+        .iter()
+        .filter(|command| matches!(command, Command::Draw { .. }));
+    assert_eq!((draws.count(), rig.mode), (1, Mode::DrivesOff));
+}
