@@ -225,7 +225,10 @@ impl Job {
         let held = self
             .session
             .held_path()
-            .filter(|ack| ack.job == drawing.number && ack.next as usize <= drawing.vertices.len());
+            .filter(|ack| ack.job == drawing.number && ack.next as usize <= drawing.vertices.len())
+            .copied();
+        // Whatever ends this, what is executed is told.
+        self.ack = held.unwrap_or(self.ack);
         match (mode, held) {
             (_, None) if waited_ms <= ARRIVAL_MAX_MS => {}
             (Mode::Stopping, _) => {}
@@ -240,13 +243,9 @@ impl Job {
             }
             // Everything had been sent when the connection broke. The report that it has ended may be lost: a robot that
             // is idle after the last vertex has ended it.
-            (Mode::Idle, Some(ack)) if ack.finished || has_executed(ack, drawing) => {
-                self.ack = *ack;
-                self.enter(Phase::Resting);
-            }
+            (Mode::Idle, Some(ack)) if ack.finished || has_executed(&ack, drawing) => self.enter(Phase::Resting),
             // A vertex was refused, or somebody else has cancelled it.
             (Mode::Idle, Some(ack)) if waited_ms > ARRIVAL_MAX_MS => {
-                self.ack = *ack;
                 self.ending.get_or_insert(JobError::EndedEarly {
                     executed: ack.executed,
                     total: drawing.vertices.len(),

@@ -541,7 +541,8 @@ fn finish(shared: &Shared, active: Active, mut result: Result<(), Failure>, repo
 fn merged(before: Option<JobReport>, last: JobReport) -> JobReport {
     let Some(before) = before else { return last };
     let mut progress = last.progress;
-    if progress.vertices_total == 0 {
+    // A connection that ended early may have heard nothing of it.
+    if progress.vertices_total == 0 || progress.vertices < before.progress.vertices {
         progress = before.progress;
     }
     progress.elapsed_s = before.drawn_s + last.drawn_s;

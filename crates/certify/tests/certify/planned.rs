@@ -30,13 +30,13 @@ const SAMPLES: [(&str, &str); 5] = [
 /// pen has come down.
 const SUDDEN: [u64; 4] = [10_564, 17_805, 34_316, 41_750];
 
-/// Allowed excess of a quantity in continuous time. On 1,500 random paths the largest peaks were 4.2 % (tool), 9.3 %
-/// (joints) and 2.3 % (pen) over the limit.
+/// Allowed excess of a quantity in continuous time. On 20,000 random paths the largest peaks were 5.4 % (tool), 9.3 %
+/// (joints) and 5.6 % (pen) over the limit.
 fn excess(quantity: Quantity) -> f64 {
     match quantity {
         Quantity::Acceleration => 0.06,
         Quantity::JointAcceleration(1..=3) => 0.15,
-        Quantity::PenAcceleration => 0.04,
+        Quantity::PenAcceleration => 0.08,
         _ => EXCESS,
     }
 }

@@ -215,7 +215,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return Ok(());
         };
         let at = |step| Failure::of(slave.position, step);
-        // Extra slaves beside it may be any others: they count only where nothing else fits.
+        // Extra slaves beside it may be any others, or one of them may be the lost one: then only its own serial number tells.
         let beside = match self.take_back_extra(number, places).await {
             Ok(true) => return Ok(()),
             Ok(false) => None,
@@ -225,6 +225,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let missing = self.missing_between(number, places);
         // With all of them there, each has to be at its place.
         let is_elsewhere = strangers.len() != missing.len();
+        let may_be_elsewhere = is_elsewhere || beside.is_some();
         let by_order = self.rank_among(&strangers, &missing, number, places);
         let mut other = None;
         for (rank, place) in strangers.iter().enumerate() {
@@ -239,13 +240,13 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                     (by_order.is_some() && !is_new) || self.is_only_one(&slave, &missing)
                 }
             };
-            let is_known = is_its_place && is_told;
+            let is_known = is_its_place && is_told && beside.is_none();
             let mut same = self.is_same(&slave, &fixed.identity).map(|()| slave.known);
             if same.is_ok() && is_its_place {
                 same = self.check_returned(number, STATION_TEMPORARY, fixed.identity).await;
             }
             match same {
-                Ok(known) if is_known || (is_elsewhere && has_serial_of(&slave, &fixed.identity)) => {
+                Ok(known) if is_known || (may_be_elsewhere && has_serial_of(&slave, &fixed.identity)) => {
                     self.confirm_mark(*place, places).await.map_err(at(Step::Identify))?;
                     self.clocks.was_off(number);
                     self.take_place(number, fixed, known);
