@@ -385,3 +385,22 @@ fn a_drawing_that_is_cancelled_while_the_line_is_down_is_not_shown_any_more() {
     let shown = machine.snapshot();
     assert_eq!((shown.interrupted, shown.drawing), (false, None));
 }
+
+#[test]
+fn a_connection_that_hears_nothing_of_a_drawing_takes_nothing_from_what_is_executed() {
+    let of = |vertices, vertices_total| {
+        let mut report = JobReport::default();
+        (report.progress.vertices, report.progress.vertices_total) = (vertices, vertices_total);
+        report
+    };
+    for (before, last, executed) in [
+        ((800, 1_000), (0, 1_000), 800),
+        ((800, 1_000), (0, 0), 800),
+        ((800, 1_000), (900, 1_000), 900),
+        ((0, 1_000), (900, 1_000), 900),
+    ] {
+        let merged = work::merged(Some(of(before.0, before.1)), of(last.0, last.1));
+        assert_eq!(merged.progress.vertices, executed, "{before:?}, {last:?}");
+        assert_eq!(merged.progress.vertices_total, 1_000);
+    }
+}

@@ -520,7 +520,8 @@ fn finish(shared: &Shared, active: Active, mut result: Result<(), Failure>, repo
         let last = report.unwrap_or_default();
         let mut report = merged(underway.before.take(), last);
         // Parts that an earlier connection found missing were not drawn by a later one.
-        if result.is_ok()
+        let is_incomplete = |failure: &Failure| failure.code == code::INCOMPLETE;
+        if result.as_ref().err().is_none_or(is_incomplete)
             && let Some(error) = report.verification.verdict().error()
         {
             result = Err(Failure::from(&error));
@@ -538,11 +539,12 @@ fn finish(shared: &Shared, active: Active, mut result: Result<(), Failure>, repo
 }
 
 /// Merges the reports of a drawing that spanned several connections.
-fn merged(before: Option<JobReport>, last: JobReport) -> JobReport {
+pub(super) fn merged(before: Option<JobReport>, last: JobReport) -> JobReport {
     let Some(before) = before else { return last };
     let mut progress = last.progress;
-    // A connection that ended early may have heard nothing of it.
-    if progress.vertices_total == 0 || progress.vertices < before.progress.vertices {
+    // A connection that ended early may have heard nothing of it; one that found parts missing counts what is before them.
+    let is_less = progress.vertices < before.progress.vertices && last.verification.verdict().error().is_none();
+    if progress.vertices_total == 0 || is_less {
         progress = before.progress;
     }
     progress.elapsed_s = before.drawn_s + last.drawn_s;

@@ -225,7 +225,6 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let missing = self.missing_between(number, places);
         // With all of them there, each has to be at its place.
         let is_elsewhere = strangers.len() != missing.len();
-        let may_be_elsewhere = is_elsewhere || beside.is_some();
         let by_order = self.rank_among(&strangers, &missing, number, places);
         let mut other = None;
         for (rank, place) in strangers.iter().enumerate() {
@@ -241,12 +240,13 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 }
             };
             let is_known = is_its_place && is_told && beside.is_none();
+            let may_be_here = is_elsewhere || (is_its_place && beside.is_some());
             let mut same = self.is_same(&slave, &fixed.identity).map(|()| slave.known);
             if same.is_ok() && is_its_place {
                 same = self.check_returned(number, STATION_TEMPORARY, fixed.identity).await;
             }
             match same {
-                Ok(known) if is_known || (may_be_elsewhere && has_serial_of(&slave, &fixed.identity)) => {
+                Ok(known) if is_known || (may_be_here && has_serial_of(&slave, &fixed.identity)) => {
                     self.confirm_mark(*place, places).await.map_err(at(Step::Identify))?;
                     self.clocks.was_off(number);
                     self.take_place(number, fixed, known);
@@ -303,8 +303,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         other.map_or(Ok(false), Err)
     }
 
-    /// The error of a slave that has taken the place of a member with power, if its place is certain: behind the last one there
-    /// may be any others.
+    /// The error of an extra slave that stands before the next known one, where a member is missing: it may have been put into
+    /// the member's place with power. Behind the last one there may be any others.
     fn is_wrong_there(&self, lost: &Slave<F>, found: &Identity, places: &Places) -> Option<BusError> {
         let number = usize::from(lost.position);
         let mut ranks = places.iter().filter_map(|station| self.rank_of(*station));

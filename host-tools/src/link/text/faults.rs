@@ -146,7 +146,7 @@ pub fn fault(fault: &Fault) -> String {
                 ),
                 Some(other) => back(other),
                 None if property == IdentityProperty::Serial => {
-                    "put the right one back, or reset the board if this one is to stay, with its serial at the axis in \
+                    "put the right one back and see to its supply, or reset the board if this one is to stay, with its serial at the axis in \
                      etherpen.toml if that names one (etherpen bus scan shows it)"
                         .to_owned()
                 }
