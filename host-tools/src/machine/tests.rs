@@ -1,7 +1,9 @@
 //! A machine over a socket against the rig that answers as the firmware does.
 
 use super::*;
+use crate::error::code;
 use crate::job::DrawTask;
+use crate::job::verification::Verification;
 use crate::link::ownership::socket_path;
 use crate::link::rig::{Rig, path, serve};
 use etherpen::application::Mode;
@@ -403,4 +405,33 @@ fn a_connection_that_hears_nothing_of_a_drawing_takes_nothing_from_what_is_execu
         assert_eq!(merged.progress.vertices, executed, "{before:?}, {last:?}");
         assert_eq!(merged.progress.vertices_total, 1_000);
     }
+}
+
+#[test]
+fn a_part_that_any_connection_found_missing_is_drawn_again_from_there() {
+    let of = |vertices, missing| {
+        let mut report = JobReport {
+            verification: Verification::without_stroke(missing),
+            ..JobReport::default()
+        };
+        (report.progress.vertices, report.progress.vertices_total) = (vertices, 100);
+        report
+    };
+    // Each has followed what the other has not: a stroke that one connection drew twice is there.
+    let mut found = Verification::without_stroke(3);
+    found.merge(&Verification::without_stroke(7));
+    assert_eq!(found.verdict().error(), None);
+    // The connection that ended found a stroke missing, and counts what is before it.
+    let mut report = work::merged(Some(of(80, 3)), of(70, 7));
+    report.verification = Verification::without_stroke(3);
+    assert_eq!(report.progress.vertices, 70);
+    for result in [Ok(()), Err(Failure::new(code::INCOMPLETE, "stroke 8 is missing"))] {
+        let mut report = report.clone();
+        let judged = work::judged(result, &mut report).expect_err("a stroke is missing");
+        assert_eq!((judged.code, report.progress.vertices), (code::INCOMPLETE, 30));
+        assert!(judged.text.contains("stroke"), "{judged}");
+    }
+    let fault = Failure::new(code::FAULT, "the machine stopped");
+    let judged = work::judged(Err(fault.clone()), &mut report).expect_err("it stopped");
+    assert_eq!((judged.code, report.progress.vertices), (fault.code, 70));
 }

@@ -519,15 +519,7 @@ fn finish(shared: &Shared, active: Active, mut result: Result<(), Failure>, repo
     let report = active.drawing.map(|mut underway| {
         let last = report.unwrap_or_default();
         let mut report = merged(underway.before.take(), last);
-        // Parts that an earlier connection found missing were not drawn by a later one.
-        let is_incomplete = |failure: &Failure| failure.code == code::INCOMPLETE;
-        if result.as_ref().err().is_none_or(is_incomplete)
-            && let Some(error) = report.verification.verdict().error()
-        {
-            result = Err(Failure::from(&error));
-            let complete = report.verification.verdict().complete_vertices;
-            report.progress.vertices = report.progress.vertices.min(complete as usize);
-        }
+        result = judged(result.clone(), &mut report);
         report.samples = std::mem::take(&mut underway.samples);
         Arc::new(report)
     });
@@ -536,6 +528,20 @@ fn finish(shared: &Shared, active: Active, mut result: Result<(), Failure>, repo
         report,
     });
     let _ = active.reply.send(result.map(|()| Reply::Done));
+}
+
+/// The result of a drawing by what all its connections found: parts that an earlier one found missing were not drawn by a later
+/// one.
+pub(super) fn judged(result: Result<(), Failure>, report: &mut JobReport) -> Result<(), Failure> {
+    let is_incomplete = |failure: &Failure| failure.code == code::INCOMPLETE;
+    let verdict = report.verification.verdict();
+    match verdict.error() {
+        Some(error) if result.as_ref().err().is_none_or(is_incomplete) => {
+            report.progress.vertices = report.progress.vertices.min(verdict.complete_vertices as usize);
+            Err(Failure::from(&error))
+        }
+        _ => result,
+    }
 }
 
 /// Merges the reports of a drawing that spanned several connections.

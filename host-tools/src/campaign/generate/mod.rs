@@ -1,4 +1,4 @@
-//! Makes episodes from seeds: [`setup`] chooses the machine, [`orders`] what the operator wants, [`seldom`] what hardly ever
+//! Makes episodes from seeds: `setup` chooses the machine, `orders` what the operator wants, `seldom` what hardly ever
 //! happens by itself.
 //!
 //! A seed and a profile always give the same episode. Lengths, speeds and times are spread over scales, not over ranges,

@@ -104,3 +104,28 @@ impl Verification {
         verdict
     }
 }
+
+#[cfg(test)]
+impl Verification {
+    /// Ten strokes of ten vertices and ten millimetres, of which the pen has followed all but one.
+    pub(crate) fn without_stroke(missing: u32) -> Self {
+        let mut verification = Self::default();
+        for number in 0..10 {
+            let begin_mm = 10.0 * f64::from(number);
+            verification.strokes.push(VerifiedStroke {
+                number,
+                vertex: 10 * number,
+                begin_mm,
+                length_mm: 10.0,
+                scale: 1.0,
+            });
+            let parts = if number == missing {
+                &mut verification.off
+            } else {
+                &mut verification.followed
+            };
+            parts.add(begin_mm, begin_mm + 10.0);
+        }
+        verification
+    }
+}
