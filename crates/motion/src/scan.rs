@@ -28,9 +28,6 @@ const COEFFICIENT_SMALL: f64 = 1.0e-15;
 /// that their change with the speed stays finite where the circle ends.
 const CHORD_SMALL: f64 = 1.0e-4;
 
-/// The pen begins to rise where the rise at one end of an interval is less than this part of that at the other.
-const BEGINNING_PART: f64 = 0.25;
-
 /// Quarters of an interval, each with the weights of its beginning, middle and end in the rise there, by the parabola through
 /// them, and in the change of the rise: between that parabola and the line through middle and far end, as it grows fastest where
 /// it begins.
@@ -206,7 +203,7 @@ impl Interval<'_> {
                 let b = middle.rise_change;
                 range.restrict_both(middle.rise + b * double, b, limits.pen_acceleration, x);
                 // The middle is the one of this interval.
-                if double == self.length_mm && begins(self.start.rise, self.end.rise) {
+                if double == self.length_mm {
                     self.restrict_quarters(&mut range, middle, x);
                 }
             }
@@ -295,13 +292,6 @@ impl Interval<'_> {
         range.restrict_circle(curvature, 0.0, limits.acceleration, x);
         range.low.min(0.0)
     }
-}
-
-/// Whether the pen begins or ends to rise, or to come down, on an interval with these rises at its ends: elsewhere its limit
-/// holds within what holds at the ends and in the middle.
-fn begins(rise_from: f64, rise_to: f64) -> bool {
-    let (one, other) = (rise_from.abs(), rise_to.abs());
-    one.min(other) < BEGINNING_PART * one.max(other)
 }
 
 #[cfg(test)]
