@@ -456,13 +456,14 @@ pub(super) fn check(points: &IoPoints) -> Result<(), IoError> {
 }
 
 /// The points, from 0, whose values are in each sample: those of more than one bit, in the order of the configuration, up
-/// to [`SAMPLE_WORDS_MAX`] and [`SAMPLE_WORD_BYTES_MAX`]. Takes the bits of each point.
+/// to [`SAMPLE_WORDS_MAX`] and [`SAMPLE_WORD_BYTES_MAX`]; one that does not fit any more is left out. Takes the bits of each
+/// point.
 pub fn sampled_words(bits: impl Iterator<Item = u8>) -> Vec<u8, SAMPLE_WORDS_MAX> {
     let (mut words, mut used) = (Vec::new(), 0);
     for (io, bits) in (0_u8..).zip(bits).filter(|(_, bits)| *bits > 1) {
-        used += usize::from(bits);
-        if used > 8 * SAMPLE_WORD_BYTES_MAX || words.push(io).is_err() {
-            break;
+        let with_it = used + usize::from(bits);
+        if with_it <= 8 * SAMPLE_WORD_BYTES_MAX && words.push(io).is_ok() {
+            used = with_it;
         }
     }
     words
@@ -495,6 +496,18 @@ mod tests {
             direction,
             bit: Some(bit),
             ..IoPoint::default()
+        }
+    }
+
+    #[test]
+    fn a_word_that_does_not_fit_a_sample_leaves_room_for_shorter_ones_behind_it() {
+        for (bits, words) in [
+            (&[16, 1, 32, 32, 8, 8][..], &[0, 2, 4, 5][..]),
+            (&[32, 16, 32, 16], &[0, 1, 3]),
+            (&[8, 8, 8, 8, 8], &[0, 1, 2, 3]),
+            (&[1, 1], &[]),
+        ] {
+            assert_eq!(sampled_words(bits.iter().copied()), words, "{bits:?}");
         }
     }
 

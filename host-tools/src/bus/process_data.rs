@@ -6,9 +6,10 @@
 
 use super::access::{self, AccessError, BusAccess};
 use etherpen::ethercat::configure::Entry;
+use etherpen::ethercat::configure::own_data::UNLISTED;
 use etherpen::ethercat::diagnostics::ServiceError;
 use etherpen::ethercat::wire::coe::Object;
-use etherpen::ethercat::wire::sii::{Header, Pdo, SYNC_MANAGER_VIRTUAL, Sii, SyncManagerUse};
+use etherpen::ethercat::wire::sii::{Header, Pdo, SYNC_MANAGER_VIRTUAL, Sii, SyncManagerRecord, SyncManagerUse};
 use serde::Serialize;
 
 /// Object that lists the process data objects of sync manager 0; those of the others follow.
@@ -55,8 +56,13 @@ pub(crate) fn read(access: &mut dyn BusAccess, slave: u8, lists: bool) -> Result
     let Ok(sii) = Sii::new_checked(&memory) else {
         return Ok(Vec::new());
     };
+    let mut managers: Vec<SyncManagerRecord> = sii.sync_managers().collect();
+    if managers.is_empty() && lists {
+        // As the master does.
+        managers.extend(UNLISTED);
+    }
     let mut found = Vec::new();
-    for (number, record) in (0..MANAGERS_MAX).zip(sii.sync_managers()) {
+    for (number, record) in (0..MANAGERS_MAX).zip(managers) {
         let direction = match record.usage {
             SyncManagerUse::Outputs => "out",
             SyncManagerUse::Inputs => "in",
@@ -194,5 +200,72 @@ fn information(access: &mut dyn BusAccess, slave: u8) -> Result<Vec<u8>, AccessE
         if !is_cut || memory.len() >= bytes.max(Header::LEN) || piece.len() < usize::from(PIECE) {
             return Ok(memory);
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use etherpen::ethercat::diagnostics::{ServiceReply, ServiceRequest};
+    use etherpen::ethercat::error::BusError;
+
+    /// A slave with CoE whose information memory ends behind its fixed part; its objects: index, sub-index, value.
+    struct Unlisted(Vec<(u16, u8, u32)>);
+
+    impl BusAccess for Unlisted {
+        fn request(&mut self, request: ServiceRequest) -> Result<ServiceReply, AccessError> {
+            let value = match request {
+                ServiceRequest::Information { word, length, .. } => {
+                    let mut memory = vec![0; Header::LEN];
+                    memory.extend([0xFF; 2]);
+                    let rest = memory.get(2 * usize::from(word)..).unwrap_or_default();
+                    rest[..rest.len().min(length.into())].to_vec()
+                }
+                ServiceRequest::Upload { object, .. } => {
+                    let is_it = |(index, sub, _): &&(u16, u8, u32)| (*index, *sub) == (object.index, object.sub);
+                    let code = 0x0602_0000;
+                    let refused = AccessError::Refused(ServiceError::Bus(BusError::SdoAbort { object, code }));
+                    self.0.iter().find(is_it).ok_or(refused)?.2.to_le_bytes().to_vec()
+                }
+                other => panic!("{other:?}"),
+            };
+            Ok(ServiceReply::Piece {
+                total: value.len() as u16,
+                piece: value.as_slice().try_into().expect("a piece"),
+            })
+        }
+    }
+
+    #[test]
+    fn a_slave_that_lists_no_sync_managers_shows_the_objects_that_the_master_exchanges_with_it() {
+        let objects = || {
+            Unlisted(vec![
+                (0x1C12, 0, 1),
+                (0x1C12, 1, 0x1601),
+                (0x1601, 0, 1),
+                (0x1601, 1, 0x6040_0010),
+                (0x1C13, 0, 1),
+                (0x1C13, 1, 0x1A01),
+                (0x1A01, 0, 2),
+                (0x1A01, 1, 0x6041_0010),
+                (0x1A01, 2, 0x6064_0020),
+            ])
+        };
+        let found = read(&mut objects(), 1, true).expect("the bus is there");
+        let told: Vec<_> = found
+            .iter()
+            .map(|pdo| {
+                let entries = pdo.entries.iter().map(|entry| (entry.index, entry.bits)).collect();
+                (pdo.index, pdo.direction, pdo.sync_manager, entries)
+            })
+            .collect::<Vec<(u16, &str, u8, Vec<(u16, u8)>)>>();
+        assert_eq!(
+            told,
+            [
+                (0x1601, "out", 2, vec![(0x6040, 16)]),
+                (0x1A01, "in", 3, vec![(0x6041, 16), (0x6064, 32)])
+            ]
+        );
+        assert_eq!(read(&mut objects(), 1, false).expect("the bus is there"), []);
     }
 }

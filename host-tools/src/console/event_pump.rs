@@ -8,7 +8,7 @@ use super::jobs::{Continued, DrawnPart, Unfinished};
 use super::page_text::for_page;
 use super::{Console, lock};
 use crate::job::error::Phase;
-use crate::job::{JobEvent, Motion, Ready};
+use crate::job::{JobEvent, JobReport, Motion, Ready};
 use crate::link::text;
 use crate::machine::{Answer, DrawOrder, Failure, News, NoNews, OVERTAKEN, Order, Subscription, Ticket};
 use etherpen::application::Mode;
@@ -192,15 +192,15 @@ fn take(console: &Console, news: News) {
         News::Reconnecting { .. } | News::Begun { .. } => {}
         News::Job(event) => console.change(|hub| take_event(hub, event)),
         News::Ended { result, report } => {
-            if report.is_some() {
-                end_drawing(console, &result);
+            if let Some(report) = report {
+                end_drawing(console, &result, &report);
             }
         }
     }
 }
 
 /// Takes the end of a drawing, or of its layer.
-fn end_drawing(console: &Console, result: &Result<(), Failure>) {
+fn end_drawing(console: &Console, result: &Result<(), Failure>, report: &JobReport) {
     let pauses = console.change(|hub| {
         // In a pause nothing is drawn: the drawing that ended is another program's.
         if hub.jobs.is_paused() {
@@ -216,6 +216,9 @@ fn end_drawing(console: &Console, result: &Result<(), Failure>) {
             );
             hub.say_jobs();
             return true;
+        }
+        if report.verification.complete_vertices().is_some() {
+            hub.jobs.found_missing(&report.progress);
         }
         let text = match result {
             Ok(()) => "drawn".to_owned(),

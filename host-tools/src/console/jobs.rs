@@ -412,6 +412,14 @@ impl Jobs {
         })
     }
 
+    /// A part of the active drawing's part was found missing, behind `progress`: what is drawn ends there.
+    pub fn found_missing(&mut self, progress: &Progress) {
+        if let Some(job) = &mut self.active {
+            job.whole(progress);
+            job.ink.back_to(job.executed);
+        }
+    }
+
     /// Ends the active drawing.
     pub fn end(&mut self, done: bool, text: impl Into<String>) {
         let Some(job) = self.active.take() else { return };

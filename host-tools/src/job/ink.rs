@@ -103,6 +103,23 @@ impl Ink {
         (self.last, self.moved_mm) = (None, 0.0);
     }
 
+    /// Goes back to the end of the ink before a vertex, the first of a stroke that is not whole.
+    pub fn back_to(&mut self, vertex: usize) {
+        let before = self.path.get(..vertex).unwrap_or(&self.path);
+        let is_drawn = |vertex: &PathVertex| vertex.pen == Pen::Down;
+        let leg = before.iter().rposition(is_drawn).unwrap_or(0);
+        if leg >= self.leg {
+            return;
+        }
+        let legs = leg.checked_sub(1).and_then(|begin| self.path.get(begin..=leg));
+        self.along_mm = match legs {
+            Some([begin, end]) => distance_mm(&at(begin), &at(end)),
+            _ => 0.0,
+        };
+        self.leg = leg;
+        self.lifted();
+    }
+
     /// The place nearest to the pen, from the present one up to this distance along the stroke; `None` if the pen is
     /// not there.
     fn nearest(&self, pen_mm: &Point, ahead_mm: f64) -> Option<(usize, f64)> {
@@ -239,6 +256,31 @@ mod tests {
             assert!(ahead_mm < 1.0, "seed {seed}: {ahead_mm} mm ahead");
             assert!(behind_mm < 3.0, "seed {seed}: {behind_mm} mm behind");
         }
+    }
+
+    #[test]
+    fn the_ink_goes_back_before_a_stroke_that_is_not_whole_and_on_from_there() {
+        let path = dense(3);
+        let mut ink = Ink::new(path.clone());
+        let first_of = |stroke| path.iter().position(|vertex| vertex.stroke == stroke).unwrap();
+        let draw = |ink: &mut Ink, stroke| {
+            for leg in first_of(stroke) + 1..first_of(stroke) + 6 {
+                let (begin, end) = (at(&path[leg - 1]), at(&path[leg]));
+                (0..=200).for_each(|step| ink.draws(stroke, between(&begin, &end, f64::from(step) / 200.0)));
+            }
+            ink.lifted();
+        };
+        draw(&mut ink, 2);
+        let whole = ink.end();
+        ink.back_to(path.len());
+        assert_eq!(ink.end(), whole, "it never goes on");
+        ink.back_to(first_of(1));
+        let before = first_of(1) - 1;
+        assert_eq!(ink.end(), (before, Some(path[before].position_um)));
+        draw(&mut ink, 1);
+        assert_eq!(ink.end(), (first_of(1) + 5, Some(path[first_of(1) + 5].position_um)));
+        ink.back_to(0);
+        assert_eq!(ink.end(), (0, None));
     }
 
     #[test]

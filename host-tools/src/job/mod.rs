@@ -111,7 +111,7 @@ pub struct Job {
     /// Verifies the drawing from its telemetry.
     verifier: Option<Verifier>,
     verification: Verification,
-    /// Vertices before the first incomplete stroke, if the path ended with incomplete strokes.
+    /// Vertices before the first incomplete stroke, if the drawing ended with incomplete strokes.
     complete: Option<u32>,
     /// Reads the firmware's measurements once the robot is at rest.
     reader: Option<Reader>,
@@ -251,10 +251,11 @@ impl Job {
 
     /// The data collected so far; the job continues.
     pub fn take_report(&mut self) -> JobReport {
-        let progress = self.progress();
         if let Some(verifier) = self.verifier.take() {
             self.verification = verifier.finish_within(LOOKS_AT_LAST);
         }
+        self.missing();
+        let progress = self.progress();
         JobReport {
             progress,
             verification: std::mem::take(&mut self.verification),
@@ -322,8 +323,14 @@ impl Job {
             None => 0,
         };
         let executed = self.complete.unwrap_or(self.ack.executed);
-        self.measure
-            .progress(self.executed_before, executed, elapsed_ms as f64 / 1000.0)
+        let progress = self
+            .measure
+            .progress(self.executed_before, executed, elapsed_ms as f64 / 1000.0);
+        let complete = self.verifier.as_ref().and_then(Verifier::complete_vertices);
+        Progress {
+            complete: complete.map_or(progress.vertices, |complete| progress.vertices.min(complete as usize)),
+            ..progress
+        }
     }
 
     /// The oldest event not yet taken.

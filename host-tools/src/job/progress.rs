@@ -17,6 +17,9 @@ const CALIBRATED_FROM: f64 = 0.02;
 pub struct Progress {
     /// Vertices executed.
     pub vertices: usize,
+    /// Vertices before the first stroke of which a part was found missing; [`Self::vertices`] while none was.
+    #[serde(default)]
+    pub complete: usize,
     /// Vertices of the path.
     pub vertices_total: usize,
     /// Length executed, pen up and down, mm.
@@ -92,6 +95,7 @@ impl PathMeasure {
         };
         Progress {
             vertices: within(executed),
+            complete: within(executed),
             vertices_total,
             executed_mm: done.length_mm,
             total_mm: total.length_mm,

@@ -179,6 +179,12 @@ impl Verifier {
         self.matching.is_some() || !self.pieces.is_empty()
     }
 
+    /// Vertices before the first stroke of which a part was found missing so far.
+    #[must_use]
+    pub fn complete_vertices(&self) -> Option<u32> {
+        self.result.complete_vertices()
+    }
+
     /// Looks at a leg so far: the measure of the work done.
     #[must_use]
     pub fn looks(&self) -> usize {

@@ -116,9 +116,9 @@ impl<'a> DrawingRun<'a> {
                 Some(DrawingNews::Event(JobEvent::Connected(welcome)))
             }
             News::Progress(progress) => {
-                let whole = self.whole(&progress);
-                self.log(&whole);
-                Some(DrawingNews::Progress(whole))
+                // Should this program be killed, the log has to know what is missing.
+                self.log(&self.whole(&progress, progress.complete));
+                Some(DrawingNews::Progress(self.whole(&progress, progress.vertices)))
             }
             News::Status(status) if self.lost && status.mode == Mode::Holding => {
                 self.lost = false;
@@ -174,9 +174,9 @@ impl<'a> DrawingRun<'a> {
         drop(self.machine.order(order));
     }
 
-    /// Progress along the complete path, from the progress of the part sent to the firmware.
-    fn whole(&self, progress: &Progress) -> Progress {
-        let executed = self.plan.executed(progress.vertices);
+    /// Progress along the complete path with `executed` vertices of the part sent to the firmware.
+    fn whole(&self, progress: &Progress, executed: usize) -> Progress {
+        let executed = self.plan.executed(executed);
         let before = self.plan.executed(0);
         let number = |vertices: usize| u32::try_from(vertices).unwrap_or(u32::MAX);
         Progress {
@@ -203,7 +203,8 @@ impl<'a> DrawingRun<'a> {
     /// # Errors
     /// The log cannot be written.
     pub fn log_end(&mut self, end: &DrawingEnd) -> io::Result<()> {
-        let whole = self.whole(&end.report.progress);
+        let progress = &end.report.progress;
+        let whole = self.whole(progress, progress.vertices);
         let Some(record) = &mut self.plan.record else {
             return Ok(());
         };

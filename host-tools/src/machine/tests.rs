@@ -3,6 +3,7 @@
 use super::*;
 use crate::error::code;
 use crate::job::DrawTask;
+use crate::job::progress::PathMeasure;
 use crate::job::verification::Verification;
 use crate::link::ownership::socket_path;
 use crate::link::rig::{Rig, path, serve};
@@ -408,30 +409,46 @@ fn a_connection_that_hears_nothing_of_a_drawing_takes_nothing_from_what_is_execu
 }
 
 #[test]
-fn a_part_that_any_connection_found_missing_is_drawn_again_from_there() {
-    let of = |vertices, missing| {
-        let mut report = JobReport {
-            verification: Verification::without_stroke(missing),
-            ..JobReport::default()
-        };
-        (report.progress.vertices, report.progress.vertices_total) = (vertices, 100);
-        report
+fn a_part_that_any_connection_found_missing_is_drawn_again_from_there_however_the_drawing_ended() {
+    let (path, config) = (path(100), Config::default());
+    let measure = PathMeasure::new(&path, &config);
+    let of = |vertices, verification| JobReport {
+        verification,
+        progress: measure.progress(0, vertices, 1.0),
+        drawn_s: 1.0,
+        ..JobReport::default()
     };
-    // Each has followed what the other has not: a stroke that one connection drew twice is there.
-    let mut found = Verification::without_stroke(3);
-    found.merge(&Verification::without_stroke(7));
-    assert_eq!(found.verdict().error(), None);
-    // The connection that ended found a stroke missing, and counts what is before it.
-    let mut report = work::merged(Some(of(80, 3)), of(70, 7));
-    report.verification = Verification::without_stroke(3);
-    assert_eq!(report.progress.vertices, 70);
-    for result in [Ok(()), Err(Failure::new(code::INCOMPLETE, "stroke 8 is missing"))] {
-        let mut report = report.clone();
-        let judged = work::judged(result, &mut report).expect_err("a stroke is missing");
-        assert_eq!((judged.code, report.progress.vertices), (code::INCOMPLETE, 30));
-        assert!(judged.text.contains("stroke"), "{judged}");
+    let saw = Verification::of_strokes;
+    let ends = || {
+        [
+            (Ok(()), code::INCOMPLETE),
+            (Err(Failure::new(code::INCOMPLETE, "stroke 8 is missing")), code::INCOMPLETE),
+            (Err(Failure::new(code::FAULT, "the machine stopped")), code::FAULT),
+            (Err(Failure::new(code::FAILED, "cancelled")), code::FAILED),
+        ]
+    };
+    // The strokes that the connections saw, and those that they found missing.
+    for (first, last, complete) in [
+        (saw(0..5, Some(3)), saw(5..10, None), Some(30)),
+        (saw(0..5, None), saw(5..10, Some(7)), Some(70)),
+        (saw(0..5, Some(3)), saw(5..10, Some(7)), Some(30)),
+        // A stroke that one of them saw whole is there.
+        (saw(0..5, Some(3)), saw(3..10, Some(7)), Some(70)),
+        (saw(0..8, Some(3)), saw(3..10, None), None),
+        (saw(0..5, None), saw(5..10, None), None),
+    ] {
+        for (result, found_code) in ends() {
+            let mut report = work::merged(Some(of(50, first.clone())), of(100, last.clone()));
+            let judged = work::judged(result.clone(), &mut report, &path, &config);
+            let Some(complete) = complete else {
+                assert_eq!((judged, report.progress.vertices), (result, 100));
+                continue;
+            };
+            let failure = judged.expect_err("a stroke is missing");
+            assert_eq!(failure.code, found_code, "{failure}");
+            assert_eq!(report.progress, measure.progress(0, complete, 2.0), "{failure}");
+            let names_the_stroke = failure.text.contains(&format!("stroke {}", complete / 10 + 1));
+            assert!(names_the_stroke || found_code != code::INCOMPLETE, "{failure}");
+        }
     }
-    let fault = Failure::new(code::FAULT, "the machine stopped");
-    let judged = work::judged(Err(fault.clone()), &mut report).expect_err("it stopped");
-    assert_eq!((judged.code, report.progress.vertices), (fault.code, 70));
 }

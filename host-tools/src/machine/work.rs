@@ -8,11 +8,12 @@ use super::lanes::{Envelope, Written, overtaken};
 use super::{Answer, DrawOrder, Failure, MachineOptions, News, Order, Reply, Shared};
 use crate::error::code;
 use crate::job::error::{JobError, Phase};
+use crate::job::progress::PathMeasure;
 use crate::job::{Control, DrawTask, Job, JobEvent, JobOptions, JobReport, Life, Task};
 use etherpen::application::{Mode, Refusal};
 use etherpen::config::Config;
 use etherpen::ethercat::diagnostics::ServiceResult;
-use etherpen::messages::{Command, Sample};
+use etherpen::messages::{Command, PathVertex, Sample};
 use std::collections::{HashMap, VecDeque};
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
@@ -143,7 +144,7 @@ impl Work {
                 }
                 _ => {
                     let report = job.map(|mut job| job.take_report());
-                    finish(&self.shared, active, Err(why.clone()), report);
+                    finish(&self.shared, &self.config, active, Err(why.clone()), report);
                 }
             }
         }
@@ -389,7 +390,7 @@ impl Work {
                 snapshot.drawing = None;
                 snapshot.interrupted = false;
             });
-            finish(&self.shared, active, Err(why.clone()), None);
+            finish(&self.shared, &self.config, active, Err(why.clone()), None);
         }
     }
 
@@ -510,16 +511,22 @@ impl Work {
             snapshot.phase = None;
             snapshot.drawing = None;
         });
-        finish(&self.shared, active, result, report);
+        finish(&self.shared, &self.config, active, result, report);
     }
 }
 
 /// Answers a task's order and publishes the result.
-fn finish(shared: &Shared, active: Active, mut result: Result<(), Failure>, report: Option<JobReport>) {
+fn finish(
+    shared: &Shared,
+    config: &Config,
+    active: Active,
+    mut result: Result<(), Failure>,
+    report: Option<JobReport>,
+) {
     let report = active.drawing.map(|mut underway| {
         let last = report.unwrap_or_default();
         let mut report = merged(underway.before.take(), last);
-        result = judged(result.clone(), &mut report);
+        result = judged(result.clone(), &mut report, &underway.order.drawing.vertices, config);
         report.samples = std::mem::take(&mut underway.samples);
         Arc::new(report)
     });
@@ -530,17 +537,25 @@ fn finish(shared: &Shared, active: Active, mut result: Result<(), Failure>, repo
     let _ = active.reply.send(result.map(|()| Reply::Done));
 }
 
-/// The result of a drawing by what all its connections found: parts that an earlier one found missing were not drawn by a later
-/// one.
-pub(super) fn judged(result: Result<(), Failure>, report: &mut JobReport) -> Result<(), Failure> {
-    let is_incomplete = |failure: &Failure| failure.code == code::INCOMPLETE;
+/// The result of a drawing of `path` by what all its connections found: parts that an earlier one found missing were not drawn
+/// by a later one. However the drawing has ended, what is before the first stroke that is not whole counts as drawn.
+pub(super) fn judged(
+    result: Result<(), Failure>,
+    report: &mut JobReport,
+    path: &[PathVertex],
+    config: &Config,
+) -> Result<(), Failure> {
     let verdict = report.verification.verdict();
-    match verdict.error() {
-        Some(error) if result.as_ref().err().is_none_or(is_incomplete) => {
-            report.progress.vertices = report.progress.vertices.min(verdict.complete_vertices as usize);
-            Err(Failure::from(&error))
-        }
-        _ => result,
+    let Some(error) = verdict.error() else {
+        return result;
+    };
+    if (verdict.complete_vertices as usize) < report.progress.vertices {
+        let elapsed_s = report.progress.elapsed_s;
+        report.progress = PathMeasure::new(path, config).progress(0, verdict.complete_vertices, elapsed_s);
+    }
+    match result {
+        Err(failure) if failure.code != code::INCOMPLETE => Err(failure),
+        _ => Err(Failure::from(&error)),
     }
 }
 

@@ -15,24 +15,35 @@ const PORT_TIMES_LEN: usize = 16;
 /// Bytes from the first port's receive time to the end of the processing unit's.
 const TIMES_LEN: usize = (register::DC_RECEIVE_TIME_UNIT - register::DC_RECEIVE_TIME) as usize + 8;
 
+/// What a measurement may expect of a slave.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Presence {
+    /// It is lost: nobody waits for it.
+    Lost,
+    /// It answers, and nobody needs its clock.
+    Unused,
+    /// It answers, and its clock is needed.
+    Used,
+}
+
 /// How often a measurement is tried in which not all slaves have latched the same frame: cables are being plugged.
 const TRIES_MAX: u8 = 3;
 
-/// Makes all slaves latch the times of one frame, and computes the delays. Slaves that do not answer keep theirs; `answers`
-/// returns false for those that are known to be lost, which are not waited for.
+/// Makes all slaves latch the times of one frame, and computes the delays. Slaves that do not answer keep theirs, and so do
+/// those that nobody uses and that have latched another frame each time.
 ///
 /// # Errors
-/// [`BusError::WorkingCounter`] if slaves have latched different frames each time; as [`AcyclicPort::send_until_counted`].
+/// [`BusError::WorkingCounter`] if slaves that are used have latched different frames each time, or the chain has changed; as [`AcyclicPort::send_until_counted`].
 pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
     clocks: &mut BusClocks<SLAVES>,
-    answers: impl Fn(usize) -> bool,
+    presence: impl Fn(usize) -> Presence,
 ) -> Result<(), BusError> {
     // Until the delays are taken, whatever ends this before.
     clocks.are_due = true;
     for attempt in 1..=TRIES_MAX {
-        match latch(port, stations, clocks, &answers, attempt == TRIES_MAX).await {
+        match latch(port, stations, clocks, &presence, attempt == TRIES_MAX).await {
             Err(BusError::WorkingCounter { .. }) if attempt < TRIES_MAX => {}
             latched => {
                 latched?;
@@ -52,7 +63,7 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
             take_delays(clocks, &chain);
             // One that was not among them may stand anywhere when it is back.
             let mut ordered = clocks.slaves.iter().enumerate().take(clocks.ordered.into());
-            clocks.are_moved = ordered.any(|(position, slave)| answers(position) && !slave.measured);
+            clocks.are_moved = ordered.any(|(position, slave)| presence(position) != Presence::Lost && !slave.measured);
         }
         Ok(None) if has_junction || clocks.are_moved => {} // The delays stay as they were measured before.
         Ok(None) => take_delays(clocks, &expected_chain(clocks)),
@@ -65,12 +76,13 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
 }
 
 /// Makes all slaves latch the times of one frame, and reads them. If only slaves without a clock have not latched them at the
-/// last try, they count as parts of their cables from then on: their features promise more than they do.
+/// last try, they count as parts of their cables from then on: their features promise more than they do. One with a clock that
+/// nobody uses is not measured.
 async fn latch<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
     clocks: &mut BusClocks<SLAVES>,
-    answers: impl Fn(usize) -> bool,
+    presence: impl Fn(usize) -> Presence,
     is_last: bool,
 ) -> Result<(), BusError> {
     // A reply comes within its cycle, so times that are further apart are those of different frames.
@@ -81,7 +93,7 @@ async fn latch<const SLAVES: usize, const MESSAGE: usize>(
     // Nobody knows where in the chain an extra slave is.
     let ordered = clocks.slaves.iter_mut().take(clocks.ordered.into());
     for (position, (station, slave)) in stations.iter().zip(ordered).enumerate() {
-        if !answers(position) {
+        if presence(position) == Presence::Lost {
             slave.measured = false;
             continue;
         }
@@ -97,6 +109,7 @@ async fn latch<const SLAVES: usize, const MESSAGE: usize>(
         let is_short = apart_max_ns == 0 || slave.ports.span_ns() < apart_max_ns;
         match slave.ports.is_later_than(&before) && is_short {
             false if slave.width.is_none() && is_last => idle |= SlaveSet::of(position),
+            false if presence(position) == Presence::Unused && is_last => slave.measured = false,
             has_latched => {
                 is_whole &= has_latched;
                 expected += 1;

@@ -30,7 +30,7 @@ use super::wire::{Address, Command, read_u16, read_u32, read_u64};
 pub use agreement::{DIFFERENCE_MAX_NS, DIFFERENCE_TIMEOUT_MS, Settling, await_agreement, difference_ns};
 use delay::PortTimes;
 use heapless::Vec;
-pub use measurement::measure;
+pub use measurement::{Presence, measure};
 pub use sync_signals::{SyncSignals, start_sync, stop_sync};
 
 /// Frames that distribute the reference's time before the clocks are used (static drift compensation).
@@ -331,8 +331,8 @@ pub async fn read_clock<const MESSAGE: usize>(
 }
 
 /// Makes all clocks agree: measures, writes offsets and delays, and distributes the reference's time until the control
-/// loops start to follow. Does nothing on a bus without clocks. `time_number` is that of the time which begins. A clock that
-/// cannot be set counts as none if `is_used` returns false for its slave.
+/// loops start to follow. Does nothing on a bus without clocks. `time_number` is that of the time which begins. If `is_used`
+/// returns false for a slave, its clock counts as none if it cannot be set, and is left alone if it cannot be measured.
 ///
 /// # Errors
 /// As [`AcyclicPort::send_until_counted`].
@@ -345,9 +345,15 @@ pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
 ) -> Result<BusClocks<SLAVES>, BusError> {
     let mut clocks: BusClocks<SLAVES> = discover(port, stations).await?;
     (clocks.period_ns, clocks.time_number) = (period_ns, time_number);
-    while let Some(reference) = clocks.reference() {
+    while let Some(first) = clocks.reference() {
+        let presence = |position: usize| match is_used(position) {
+            true => Presence::Used,
+            false => Presence::Unused,
+        };
+        measure(port, stations, &mut clocks, presence).await?;
+        let measured = clocks.first(|_, slave| slave.width.is_some() && slave.measured);
+        let reference = measured.unwrap_or(first);
         clocks.told_by = Some(reference as u8);
-        measure(port, stations, &mut clocks, |_| true).await?;
         if set_all(port, stations, &mut clocks, reference, &is_used).await? {
             settle(port, stations, &mut clocks).await?;
             break;
@@ -356,8 +362,8 @@ pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
     Ok(clocks)
 }
 
-/// Sets all clocks to the time of the reference. A clock that cannot be set counts as none if `is_used` returns false for its
-/// slave; returns false if that is the reference.
+/// Sets all clocks to the time of the reference. If `is_used` returns false for a slave, its clock is left alone if it was not
+/// measured, and counts as none if it cannot be set; returns false if that is the reference.
 async fn set_all<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
@@ -366,7 +372,8 @@ async fn set_all<const SLAVES: usize, const MESSAGE: usize>(
     is_used: impl Fn(usize) -> bool,
 ) -> Result<bool, BusError> {
     for (position, station) in stations.iter().enumerate() {
-        if !clocks.has_clock(position) {
+        let is_measured = clocks.slaves.get(position).is_some_and(|slave| slave.measured);
+        if !clocks.has_clock(position) || !is_measured && !is_used(position) {
             continue;
         }
         let offset_ns = match position == reference {
@@ -388,8 +395,8 @@ async fn set_all<const SLAVES: usize, const MESSAGE: usize>(
 }
 
 /// Sets the clock of a slave that was switched off or cut off to the time of the bus. The other slaves keep their time,
-/// even if this slave is the reference. If no other clock has the time of the bus, this one continues it. `answers` returns
-/// false for slaves that are lost; what they say on their return is not the time of the bus.
+/// even if this slave is the reference. If no other clock has the time of the bus, this one continues it. What slaves that are
+/// lost say on their return is not the time of the bus.
 ///
 /// # Errors
 /// As [`AcyclicPort::send_until_counted`].
@@ -398,16 +405,20 @@ pub async fn restore<const SLAVES: usize, const MESSAGE: usize>(
     stations: &[u16],
     clocks: &mut BusClocks<SLAVES>,
     position: usize,
-    answers: impl Fn(usize) -> bool,
+    presence: impl Fn(usize) -> Presence,
 ) -> Result<(), BusError> {
-    let answers = |other: usize| other == position || answers(other);
+    // It is the one that is needed.
+    let presence = |other: usize| match other == position {
+        true => Presence::Used,
+        false => presence(other),
+    };
     let Some(station) = stations.get(position).filter(|_| clocks.has_clock(position)) else {
         return Ok(());
     };
     // Frames that told it a far time have made it up to 10 % faster or slower: the offset would be wrong once it is written.
     restart_loop(port, *station).await?;
     clocks.are_moved = true;
-    measure(port, stations, clocks, answers).await?;
+    measure(port, stations, clocks, &presence).await?;
     let source = clocks.source_for(position);
     if source.is_none() && clocks.is_set(position) {
         return Ok(());
@@ -421,13 +432,16 @@ pub async fn restore<const SLAVES: usize, const MESSAGE: usize>(
     let _ = stop_sync(port, *station).await;
     write_offset(port, *station, position, clocks, offset_ns).await?;
     let measured: Vec<bool, SLAVES> = clocks.slaves.iter().map(|slave| slave.measured).collect();
-    let are_there = |position| answers(position) && measured.get(position) == Some(&true);
+    let are_there = |position| match measured.get(position) {
+        Some(true) => presence(position),
+        _ => Presence::Lost,
+    };
     tell_delays(port, stations, clocks, are_there).await
 }
 
 /// Tells the clocks their delays from the slave that distributes its time, where they were told others: another slave
 /// distributes its time than before, or a cable has changed. A slave that has begun to distribute its time runs freely from
-/// then on. `answers` returns false for slaves that are lost.
+/// then on.
 ///
 /// # Errors
 /// As [`AcyclicPort::send_until_counted`]; the delays that were not told are told next time.
@@ -435,15 +449,18 @@ pub async fn tell_delays<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
     clocks: &mut BusClocks<SLAVES>,
-    answers: impl Fn(usize) -> bool,
+    presence: impl Fn(usize) -> Presence,
 ) -> Result<(), BusError> {
-    let is_there = |position: usize, slave: &SlaveClock| slave.width.is_some() && slave.is_set && answers(position);
+    let is_needed = |position: usize, slave: &SlaveClock| {
+        slave.width.is_some() && slave.is_set && presence(position) == Presence::Used
+    };
+    let answers = |position: usize| presence(position) != Presence::Lost;
     let before = clocks.distributor(&answers);
     run_freely(port, stations, clocks, before).await?;
     // Delays of different measurements have different beginnings.
     let mut there = clocks.slaves.iter().enumerate();
-    if clocks.are_due || there.any(|(position, slave)| is_there(position, slave) && !slave.measured) {
-        measure(port, stations, clocks, &answers).await?;
+    if clocks.are_due || there.any(|(position, slave)| is_needed(position, slave) && !slave.measured) {
+        measure(port, stations, clocks, &presence).await?;
     }
     let source = clocks.distributor(&answers);
     if source != before {

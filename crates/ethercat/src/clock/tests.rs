@@ -311,6 +311,14 @@ impl Chain {
     }
 }
 
+/// Slaves that are used, and those that are lost.
+fn present(answers: impl Fn(usize) -> bool) -> impl Fn(usize) -> Presence {
+    move |place| match answers(place) {
+        true => Presence::Used,
+        false => Presence::Lost,
+    }
+}
+
 const WIDE: Option<Width> = Some(Width::Bits64);
 const NARROW: Option<Width> = Some(Width::Bits32);
 
@@ -399,6 +407,57 @@ fn a_first_clock_that_cannot_be_set_leaves_the_next_one_as_the_reference() {
 }
 
 #[test]
+fn a_clock_that_latches_no_times_stops_nobody_if_its_slave_is_not_used() {
+    for frozen in 0..4 {
+        let mut chain = Chain::new([(WIDE, 9_000, 0), (WIDE, 1 << 40, 0), (WIDE, 77, 0), (WIDE, 50, 0)]);
+        chain.slaves[frozen].is_frozen = true;
+        let others = || (0..4).filter(|place| *place != frozen);
+        let first = others().next().unwrap();
+        let refused = chain.run(async |mut port: AcyclicPort<'static, 64>| {
+            set_up::<16, 64>(&mut port, &STATIONS, PERIOD_NS, 0, |_| true).await
+        });
+        assert!(
+            matches!(refused, Err(BusError::WorkingCounter { .. })),
+            "a drive without its clock"
+        );
+        let mut clocks: BusClocks<16> = chain
+            .run(async |mut port: AcyclicPort<'static, 64>| {
+                set_up(&mut port, &STATIONS, PERIOD_NS, 0, |place| place != frozen).await
+            })
+            .expect("the others' clocks");
+        // It answers the time all the same, and counts.
+        let reference = clocks.reference_clock(&STATIONS, |_| true).expect("a reference");
+        assert_eq!((reference.station, reference.slaves), (STATIONS[first], 4));
+        let agree = |chain: &mut Chain| {
+            let times_ns: StdVec<u64> = chain.slaves.iter().map(|slave| slave.system_ns(chain.true_ns)).collect();
+            assert!(
+                others().all(|place| times_ns[place] == times_ns[first]),
+                "{frozen} is frozen: {times_ns:?}"
+            );
+        };
+        agree(&mut chain);
+        // Neither does it stop the repair of another one.
+        let repaired = others().last().unwrap();
+        chain.slaves[repaired].start_ns = 1 << 33;
+        clocks.was_off(repaired);
+        clocks.chain_changed();
+        let presence = |place| match place == frozen {
+            true => Presence::Unused,
+            false => Presence::Used,
+        };
+        chain
+            .run(async |mut port: AcyclicPort<'static, 64>| {
+                restore(&mut port, &STATIONS, &mut clocks, repaired, presence).await?;
+                tell_delays(&mut port, &STATIONS, &mut clocks, &presence).await
+            })
+            .expect("the clock of the slave that is back");
+        agree(&mut chain);
+        let used = clocks.slaves.iter().enumerate().filter(|(place, _)| *place != frozen);
+        assert!(used.into_iter().all(|(_, slave)| slave.measured && slave.is_set), "{clocks:?}");
+    }
+}
+
+#[test]
 fn clocks_of_64_bits_are_told_the_lower_half_for_ever_where_one_of_32_bits_has_told_them_its_time() {
     let mut chain = Chain::new([(NARROW, 9_000, 0), (WIDE, 1 << 40, 0), (WIDE, 77, 0), (WIDE, 50, 0)]);
     let clocks = chain.set_up();
@@ -483,7 +542,7 @@ fn a_slave_that_was_switched_off_takes_the_time_of_the_others_also_as_the_refere
         let writes = chain.log.matches("Fpwr").count();
         chain
             .run(async |mut port: AcyclicPort<'static, 64>| {
-                restore(&mut port, &STATIONS, &mut clocks, position, |_| true).await
+                restore(&mut port, &STATIONS, &mut clocks, position, |_| Presence::Used).await
             })
             .expect("the clock");
         // Its own registers, and the delay of the one that waits.
@@ -509,10 +568,10 @@ fn delays_are_told_from_the_clock_that_distributes_its_time_which_then_runs_free
     ] {
         for repeated in [false, true] {
             chain.log.clear();
-            let answers = |place: usize| !lost.contains(&place);
+            let presence = present(|place| !lost.contains(&place));
             chain
                 .run(async |mut port: AcyclicPort<'static, 64>| {
-                    tell_delays(&mut port, &STATIONS, &mut clocks, answers).await
+                    tell_delays(&mut port, &STATIONS, &mut clocks, &presence).await
                 })
                 .expect("the delays");
             let delay = |slave: &Model| read_u32(&slave.memory, usize::from(register::DC_DELAY));
@@ -540,7 +599,7 @@ fn the_first_clock_to_return_continues_the_time_when_all_were_off() {
         for slave in [1, 0] {
             models
                 .run(async |mut port: AcyclicPort<'static, 64>| {
-                    restore(&mut port, &STATIONS, &mut clocks, slave, |_| true).await
+                    restore(&mut port, &STATIONS, &mut clocks, slave, |_| Presence::Used).await
                 })
                 .expect("the clock");
         }
@@ -663,7 +722,7 @@ fn a_slave_is_replaced_by_one_with_another_clock_or_with_none() {
         let counted = chain.run(async |mut port: AcyclicPort<'static, 64>| -> Result<_, BusError> {
             let found = read_clock(&mut port, STATIONS[2]).await?.expect("an answer");
             clocks.replace(2, &found);
-            restore(&mut port, &STATIONS, &mut clocks, 2, |_| true).await?;
+            restore(&mut port, &STATIONS, &mut clocks, 2, |_| Presence::Used).await?;
             Ok(clocks.reference_clock(&STATIONS, |_| true))
         });
         let reference = counted.expect("the repair").expect("a reference");
@@ -695,9 +754,9 @@ fn an_extra_slave_is_counted_and_neither_measured_nor_set() {
             clocks.add_extra(5, found);
             assert_eq!(clocks.slaves.len(), 3, "a place that is not the next one");
             clocks.add_extra(3, found);
-            restore(&mut port, &STATIONS, &mut clocks, 3, |_| true).await?;
+            restore(&mut port, &STATIONS, &mut clocks, 3, |_| Presence::Used).await?;
             clocks.chain_changed();
-            tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await
+            tell_delays(&mut port, &STATIONS, &mut clocks, |_| Presence::Used).await
         })
         .expect("the extra slave");
     let counted = |lost| {

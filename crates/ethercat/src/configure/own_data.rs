@@ -29,7 +29,7 @@ const OUTPUTS_START: u16 = 0x0F00;
 const ASSIGNMENT: u16 = 0x1C10;
 
 /// The sync managers of a slave with CoE whose SII does not list them: behind those of the mailbox.
-const UNLISTED: [SyncManagerRecord; 4] = {
+pub const UNLISTED: [SyncManagerRecord; 4] = {
     const fn manager(start: u16, control: u8, usage: SyncManagerUse) -> SyncManagerRecord {
         SyncManagerRecord {
             start,

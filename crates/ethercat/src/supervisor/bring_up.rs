@@ -242,6 +242,12 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         }
     }
 
+    /// Whether a slave's information memory names no vendor: it is blank, or its processor does not show it yet.
+    pub(super) fn has_blank_memory(&self) -> bool {
+        let mut vendors = self.slaves.iter().map(|slave| slave.fixed.identity.vendor);
+        vendors.any(|vendor| matches!(vendor, 0 | u32::MAX))
+    }
+
     /// Marks the further slaves that take part.
     fn choose_terminals(&mut self) {
         let places = self.setup.terminals;

@@ -4,7 +4,7 @@
 //! show any AL state without disturbing the critical side.
 
 use super::super::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
-use super::super::clock::{self, BusClocks};
+use super::super::clock::{self, BusClocks, Presence};
 use super::super::configure::discovery;
 use super::super::cyclic::{CyclicPlan, CyclicSlave, ExchangeKind, PlanError, ReferenceClock, VALUES_MAX, ValueBit};
 use super::super::driver::SlaveFactory;
@@ -365,6 +365,16 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         self.slaves.iter().map(is_there).collect()
     }
 
+    /// What a measurement may expect of each slave.
+    fn presences(&self) -> Vec<Presence, SLAVES> {
+        let presence = |slave: &Slave<F>| match slave.condition {
+            Condition::Lost => Presence::Lost,
+            _ if slave.is_used() => Presence::Used,
+            _ => Presence::Unused,
+        };
+        self.slaves.iter().map(presence).collect()
+    }
+
     /// Continues the master's record of the bus time, see [`clock::follow`].
     pub(super) async fn follow_clock(&mut self) {
         let (stations, there) = (self.stations(), self.answering());
@@ -375,14 +385,14 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
     /// Tells the clocks their delays after another slave has begun to distribute its time, see [`clock::tell_delays`]. What
     /// fails is tried again with the next look at the bus.
     pub(super) async fn tell_delays(&mut self) {
-        let (stations, there) = (self.stations(), self.answering());
-        let answers = |position: usize| there.get(position).is_some_and(|there| *there);
-        let _ = clock::tell_delays(&mut self.port, &stations, &mut self.clocks, answers).await;
+        let (stations, presences) = (self.stations(), self.presences());
+        let presence = |position: usize| presences.get(position).copied().unwrap_or(Presence::Lost);
+        let _ = clock::tell_delays(&mut self.port, &stations, &mut self.clocks, presence).await;
         if self.reference_clock().map_or(0, |clock| clock.station) != self.distributes {
             // The chain has another first slave, to which the time of the one before was written. Or this was interrupted here.
             self.send_plan().await;
             self.port.wait_ms(PLAN_MS).await;
-            let _ = clock::tell_delays(&mut self.port, &stations, &mut self.clocks, answers).await;
+            let _ = clock::tell_delays(&mut self.port, &stations, &mut self.clocks, presence).await;
         }
     }
 
@@ -417,9 +427,9 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         self.clocks.hold(true);
         self.send_plan().await;
         self.port.wait_ms(PLAN_MS).await;
-        let (stations, there) = (self.stations(), self.answering());
-        let answers = |position: usize| there.get(position).is_some_and(|there| *there);
-        let restored = clock::restore(&mut self.port, &stations, &mut self.clocks, number, answers).await;
+        let (stations, presences) = (self.stations(), self.presences());
+        let presence = |position: usize| presences.get(position).copied().unwrap_or(Presence::Lost);
+        let restored = clock::restore(&mut self.port, &stations, &mut self.clocks, number, presence).await;
         if let Some(slave) = self
             .slaves
             .get_mut(number)

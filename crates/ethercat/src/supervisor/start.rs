@@ -125,7 +125,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<'_, 
                     BusError::SlaveCount { actual, .. } => actual,
                     _ => self.inbox.slaves(),
                 };
-                let may_be_over = may_pass(&failure.error) || self.bus.has_lost;
+                let is_unread = matches!(failure.error, BusError::MemberCount { .. }) && self.bus.has_blank_memory();
+                let may_be_over = may_pass(&failure.error) || self.bus.has_lost || is_unread;
                 (failure, may_be_over)
             }
             Err(Interruption::Command) => return,
@@ -332,8 +333,8 @@ const fn is_of_configuration(code: u16) -> bool {
     )
 }
 
-/// Whether what went wrong may be over the next time although the chain does not change: a slave was too slow, left its state or
-/// was lost for a moment. Other errors are of the chain, or of what is asked for.
+/// Whether what went wrong may be over the next time although the chain does not change: a slave was too slow, its information
+/// memory could not be read while its processor starts up, it left its state or was lost for a moment. Other errors are of the chain, or of what is asked for.
 fn may_pass(error: &BusError) -> bool {
     match error {
         BusError::State { code, .. } => !is_of_configuration(*code),
@@ -342,6 +343,7 @@ fn may_pass(error: &BusError) -> bool {
         BusError::Lost { .. }
         | BusError::WorkingCounter { .. }
         | BusError::SiiBusy { .. }
+        | BusError::Sii { .. }
         | BusError::RequestUnread { .. }
         | BusError::StateTimeout { .. }
         | BusError::MailboxTimeout { .. }

@@ -7,6 +7,10 @@
 pub(super) struct Parts(Vec<[f64; 2]>);
 
 impl Parts {
+    pub(super) const fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
     pub(super) fn add(&mut self, from_mm: f64, to_mm: f64) {
         if to_mm <= from_mm {
             return;

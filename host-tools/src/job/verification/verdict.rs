@@ -72,6 +72,16 @@ impl Verification {
         self.off.extend(&other.off);
     }
 
+    /// Vertices before the first stroke of which a part is missing.
+    #[must_use]
+    pub fn complete_vertices(&self) -> Option<u32> {
+        if self.off.is_empty() {
+            return None;
+        }
+        let verdict = self.verdict();
+        verdict.strokes.first().map(|_| verdict.complete_vertices)
+    }
+
     /// The verdict.
     #[must_use]
     pub fn verdict(&self) -> Verdict {
@@ -107,8 +117,8 @@ impl Verification {
 
 #[cfg(test)]
 impl Verification {
-    /// Ten strokes of ten vertices and ten millimetres, of which the pen has followed all but one.
-    pub(crate) fn without_stroke(missing: u32) -> Self {
+    /// What a connection saw of ten strokes of ten vertices and ten millimetres: the pen has followed those in `seen` but one.
+    pub(crate) fn of_strokes(seen: std::ops::Range<u32>, missing: Option<u32>) -> Self {
         let mut verification = Self::default();
         for number in 0..10 {
             let begin_mm = 10.0 * f64::from(number);
@@ -119,10 +129,12 @@ impl Verification {
                 length_mm: 10.0,
                 scale: 1.0,
             });
-            let parts = if number == missing {
-                &mut verification.off
-            } else {
-                &mut verification.followed
+            if !seen.contains(&number) {
+                continue;
+            }
+            let parts = match missing == Some(number) {
+                true => &mut verification.off,
+                false => &mut verification.followed,
             };
             parts.add(begin_mm, begin_mm + 10.0);
         }

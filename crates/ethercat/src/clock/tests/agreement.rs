@@ -18,10 +18,10 @@ fn a_clock_takes_the_time_of_others_while_one_is_lost_whether_that_one_is_away_o
             chain.slaves.remove(lost);
             chain.stations[lost..].rotate_left(1);
         }
-        let answers = |number: usize| number != lost;
+        let presence = present(|number| number != lost);
         chain
             .run(async |mut port: AcyclicPort<'static, 64>| {
-                restore(&mut port, &STATIONS, &mut clocks, off, answers).await
+                restore(&mut port, &STATIONS, &mut clocks, off, &presence).await
             })
             .expect("the clock");
         let there = chain.slaves.iter().zip(chain.stations);

@@ -11,7 +11,7 @@ fn after_a_change_of_the_chain_its_cables_are_measured_anew_once() {
         chain.log.clear();
         chain
             .run(async |mut port: AcyclicPort<'static, 64>| {
-                tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await
+                tell_delays(&mut port, &STATIONS, &mut clocks, |_| Presence::Used).await
             })
             .expect("the delays");
         assert_eq!(chain.log.matches("Bwr:0900").count(), measurements);
@@ -30,7 +30,7 @@ fn a_stranger_at_a_junction_changes_no_delay_of_the_others() {
     let clocks: BusClocks<16> = chain
         .run(async |mut port: AcyclicPort<'static, 64>| {
             let mut clocks = discover(&mut port, &known).await?;
-            measure(&mut port, &known, &mut clocks, |_| true).await?;
+            measure(&mut port, &known, &mut clocks, |_| Presence::Used).await?;
             Ok::<_, BusError>(clocks)
         })
         .expect("the measurement");
@@ -70,7 +70,7 @@ fn slaves_that_were_exchanged_with_power_are_told_the_delays_of_their_new_places
                 for look in 0..=lost_looks {
                     chain.losses = if look < lost_looks { 1_000 } else { 0 };
                     let told = chain.run(async |mut port: AcyclicPort<'static, 64>| {
-                        tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await
+                        tell_delays(&mut port, &STATIONS, &mut clocks, |_| Presence::Used).await
                     });
                     assert_eq!(told.is_ok(), look == lost_looks, "{told:?}");
                 }
@@ -94,8 +94,8 @@ fn times_of_different_frames_are_no_measurement() {
             }
             let mut repair = |chain: &mut Chain| {
                 chain.run(async |mut port: AcyclicPort<'static, 64>| match lost {
-                    Some(lost) => restore(&mut port, &STATIONS, &mut clocks, lost, |_| true).await,
-                    None => tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await,
+                    Some(lost) => restore(&mut port, &STATIONS, &mut clocks, lost, |_| Presence::Used).await,
+                    None => tell_delays(&mut port, &STATIONS, &mut clocks, |_| Presence::Used).await,
                 })
             };
             let done = repair(&mut chain);
@@ -124,8 +124,8 @@ fn slaves_that_were_exchanged_and_one_of_them_off_agree_again() {
             clocks.chain_changed();
             chain
                 .run(async |mut port: AcyclicPort<'static, 64>| {
-                    tell_delays(&mut port, &STATIONS, &mut clocks, |number| number != off).await?;
-                    restore(&mut port, &STATIONS, &mut clocks, off, |_| true).await
+                    tell_delays(&mut port, &STATIONS, &mut clocks, present(|number| number != off)).await?;
+                    restore(&mut port, &STATIONS, &mut clocks, off, |_| Presence::Used).await
                 })
                 .expect("the repair");
             assert_told_by_the_first(&chain, &clocks, &std::format!("{one} for {other}"));
@@ -147,7 +147,7 @@ fn a_slave_that_only_promises_to_latch_times_keeps_no_clock_from_being_set() {
             if again {
                 clocks.chain_changed();
                 let told = chain.run(async |mut port: AcyclicPort<'static, 64>| {
-                    tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await
+                    tell_delays(&mut port, &STATIONS, &mut clocks, |_| Presence::Used).await
                 });
                 told.expect("the delays");
             }
@@ -175,7 +175,7 @@ fn who_begins_to_distribute_its_time_runs_freely_even_if_the_cables_cannot_be_me
         chain.losses = 1_000;
         chain.log.clear();
         let told = chain.run(async |mut port: AcyclicPort<'static, 64>| {
-            tell_delays(&mut port, &STATIONS, &mut clocks, |number| !lost.contains(&number)).await
+            tell_delays(&mut port, &STATIONS, &mut clocks, present(|number| !lost.contains(&number))).await
         });
         assert!(told.is_err());
         assert_eq!(chain.log.matches("Fpwr:0930").count(), 1, "{}", chain.log);
@@ -194,7 +194,7 @@ fn a_good_terminal_is_not_given_up_because_a_cable_was_loose_for_long() {
             clocks.chain_changed();
             // It fails as long as the cable is loose.
             let _ = chain.run(async |mut port: AcyclicPort<'static, 64>| {
-                tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await
+                tell_delays(&mut port, &STATIONS, &mut clocks, |_| Presence::Used).await
             });
         }
         assert!(clocks.slaves[1].ports.has_clock, "{passed} slaves, {times} times");
@@ -210,7 +210,7 @@ fn a_slave_that_may_be_another_one_is_told_its_delay_again() {
     clocks.was_off(2);
     chain.slaves[2].put(register::DC_DELAY, &[0; 4]);
     let told = chain
-        .run(async |mut port: AcyclicPort<'static, 64>| tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await);
+        .run(async |mut port: AcyclicPort<'static, 64>| tell_delays(&mut port, &STATIONS, &mut clocks, |_| Presence::Used).await);
     told.expect("the delays");
     assert_eq!(
         read_u32(&chain.slaves[2].memory, usize::from(register::DC_DELAY)),
@@ -229,7 +229,7 @@ fn a_chain_of_which_only_a_part_was_seen_is_looked_through_again() {
             let behind_a_loose_cable = chain.slaves.split_off(seen);
             let mut tell = |chain: &mut Chain| {
                 let told = chain.run(async |mut port: AcyclicPort<'static, 64>| {
-                    tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await
+                    tell_delays(&mut port, &STATIONS, &mut clocks, |_| Presence::Used).await
                 });
                 told.expect("the delays");
                 clocks.clone()
@@ -252,8 +252,8 @@ fn a_clock_takes_the_time_from_the_first_of_the_chain_whatever_its_number() {
     chain.slaves[2].start_ns += 15_000;
     clocks.was_off(1);
     let restored = chain.run(async |mut port: AcyclicPort<'static, 64>| {
-        tell_delays(&mut port, &STATIONS, &mut clocks, |number| number != 1).await?;
-        restore(&mut port, &STATIONS, &mut clocks, 1, |_| true).await
+        tell_delays(&mut port, &STATIONS, &mut clocks, present(|number| number != 1)).await?;
+        restore(&mut port, &STATIONS, &mut clocks, 1, |_| Presence::Used).await
     });
     restored.expect("the repair");
     let time = |slave: usize| chain.slaves[slave].system_ns(chain.true_ns);
@@ -272,7 +272,7 @@ fn a_replaced_clock_is_told_its_delay_whatever_it_was_told_elsewhere() {
     clocks.replace(0, &found);
     clocks.found_in_time(0);
     let told = chain
-        .run(async |mut port: AcyclicPort<'static, 64>| tell_delays(&mut port, &STATIONS, &mut clocks, |_| true).await);
+        .run(async |mut port: AcyclicPort<'static, 64>| tell_delays(&mut port, &STATIONS, &mut clocks, |_| Presence::Used).await);
     told.expect("the delays");
     assert_eq!(read_u32(&chain.slaves[0].memory, usize::from(register::DC_DELAY)), 0);
 }
