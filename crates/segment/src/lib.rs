@@ -41,7 +41,7 @@ pub mod transport;
 mod wiring;
 
 pub use application::AlState;
-pub use controller::silicon::ClockWidth;
+pub use controller::silicon::{ClockWidth, ControllerType};
 pub use devices::ax2000::NAME as AX2000_NAME;
 pub use devices::kind::SlaveKind;
 pub use drive::homing::Switches;

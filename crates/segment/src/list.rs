@@ -6,7 +6,7 @@
 //! terminal at port 1. The slaves of the list are those of the segment in the order in which frames pass them: a frame
 //! leaves through the ports 3, 1 and 2.
 
-use crate::controller::silicon::ClockWidth;
+use crate::controller::silicon::{ClockWidth, ControllerType};
 use crate::devices::kind::SlaveKind;
 use crate::drive::OneTurn;
 use crate::eeprom::esi::EsiDevice;
@@ -25,7 +25,7 @@ const TIME_MAX_MS: u64 = 3_600_000;
 /// Most bytes of a slave information file (ESI).
 const ESI_BYTES_MAX: u64 = 64 << 20;
 /// The settings of a slave, for messages.
-const SETTINGS: &str = "name=NAME, alias=N, serial=N, id=N, password=N, clock=32|64, range=turn|untold, lock=MS, boot=MS, \
+const SETTINGS: &str = "name=NAME, alias=N, serial=N, id=N, password=N, clock=32|64, controller=et1100|lan9252|akd, range=turn|untold, lock=MS, boot=MS, \
                         transition=MS, mailbox=MS, lrw=no, units=pairs or sii=needed";
 /// Ports that parentheses without a port take, in turn.
 const BRANCH_PORTS: [u8; 2] = [2, 3];
@@ -351,6 +351,10 @@ fn set(place: &mut PlaceOptions, setting: &str) -> Option<()> {
                 _ => return None,
             });
         }
+        "controller" => {
+            let known = ControllerType::NAMES.iter().find(|(name, _)| *name == value);
+            place.controller = Some(known?.1);
+        }
         "range" => {
             place.one_turn = Some(match value {
                 "turn" => OneTurn::Told,
@@ -436,7 +440,7 @@ mod tests {
     #[test]
     fn settings_belong_to_their_item() {
         let list: SlaveList =
-            "ek1100, cia402@alias=0x12@serial=7@id=5*2,ax2000 @clock=32@boot=500@sii=needed@lrw=no@units=pairs"
+            "ek1100, cia402@alias=0x12@serial=7@id=5*2,ax2000 @clock=32@controller=lan9252@boot=500@sii=needed@lrw=no@units=pairs"
                 .parse()
                 .expect("a list");
         let drive = PlaceOptions {
@@ -447,6 +451,7 @@ mod tests {
         };
         let mut last = PlaceOptions {
             clock: Some(ClockWidth::Bits32),
+            controller: Some(ControllerType::Lan9252),
             ignores_lrw: true,
             takes_pairs: true,
             ..PlaceOptions::default()
@@ -529,6 +534,7 @@ mod tests {
             "alias=x",
             "serial=0x100000000",
             "clock=16",
+            "controller=et1101",
             "range=2",
             "boot=3600001",
             "sii=yes",

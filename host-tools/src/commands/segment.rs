@@ -27,7 +27,8 @@ pub struct Arguments {
     /// Slaves in the order of the chain: ax2000, cia402, akd, ek1100, ek1122, el1004, el1008, el2004, el2008, ai2, ao2, blank,
     /// sii:FILE or esi:FILE#DEVICE (DEVICE: type or product code, with :REVISION if need be), with *N for N of a kind,
     /// for instance ax2000*4,ek1100,el2004. Settings of a slave follow its kind: @name=NAME (for commands), @alias=N,
-    /// @serial=N, @id=N (its switches), @password=N (of its files), @clock=32 or 64, @range=turn (a drive whose
+    /// @serial=N, @id=N (its switches), @password=N (of its files), @clock=32 or 64,
+    /// @controller=et1100, lan9252 or akd (of a slave from a file), @range=turn (a drive whose
     /// position counts one motor turn; untold: without saying so), @lock=MS (its clock follows the reference clock that
     /// slowly), @lrw=no (its controller lets LRW pass), @units=pairs (it takes writes of at most two FMMUs or sync managers),
     /// @boot=MS, @transition=MS, @mailbox=MS, @sii=needed (its processor reads the information memory itself), for instance ax2000@alias=3@serial=7. Branches follow a slave in parentheses, at port

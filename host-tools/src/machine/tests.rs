@@ -422,7 +422,10 @@ fn a_part_that_any_connection_found_missing_is_drawn_again_from_there_however_th
     let ends = || {
         [
             (Ok(()), code::INCOMPLETE),
-            (Err(Failure::new(code::INCOMPLETE, "stroke 8 is missing")), code::INCOMPLETE),
+            (
+                Err(Failure::new(code::INCOMPLETE, "stroke 8 is missing")),
+                code::INCOMPLETE,
+            ),
             (Err(Failure::new(code::FAULT, "the machine stopped")), code::FAULT),
             (Err(Failure::new(code::FAILED, "cancelled")), code::FAILED),
         ]

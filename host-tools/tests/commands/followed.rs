@@ -1,12 +1,13 @@
 //! A drawing whose pen left its path: it does not count as drawn, and is resumed from the log with its original
 //! options. The ink is the reference.
 
-use crate::program::{Folder, etherpen, run};
+use crate::program::{Folder, Running, etherpen, run};
 use etherpen::config::Config;
 use host_tools::cell::{CellOptions, InkStroke};
 use host_tools::console::virtual_cell::{Firmware, VirtualCell};
 use host_tools::error::code;
 use host_tools::link::port::PortName;
+use rustix::process::Signal;
 use std::fmt::Write as _;
 use std::io::{Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -189,4 +190,37 @@ fn a_drawing_over_a_line_that_loses_telemetry_is_whole_and_says_how_much_was_not
         missing_mm <= SAME_MM,
         "ink is missing {missing_mm} mm away from any other"
     );
+}
+
+#[test]
+fn a_drawing_that_is_cancelled_or_killed_behind_a_stroke_that_was_not_followed_begins_with_that_stroke_again() {
+    for (signal, has_result) in [(Signal::INT, true), (Signal::KILL, false)] {
+        let folder = Folder::new();
+        let file = folder.file("zigzags.svg", svg()).to_string_lossy().into_owned();
+        let weak = folder.file("weak.toml", toml(&weak())).to_string_lossy().into_owned();
+        let cell = cell();
+        let mut command = etherpen(&folder);
+        command.args(["draw", &file, "--config", &weak, "--size", "70mm"]);
+        let mut program = Running::start(command.arg("--port").arg(cell.port().to_string()));
+        // It is in its fourth stroke; what is seen of the second has been compared and written down.
+        program.wait_for("fourth stroke", |_| (cell.ink().len() >= 4).then_some(()));
+        program.signal(signal);
+        if has_result {
+            // Ctrl-C holds the drawing, a second one ends it.
+            std::thread::sleep(std::time::Duration::from_millis(300));
+            program.signal(signal);
+        }
+        let status = program.end();
+        assert!(!status.success(), "{}", program.stderr());
+        let (_, jobs, _) = run(etherpen(&folder).args(["jobs", "--json"]));
+        let jobs: serde_json::Value = serde_json::from_str(&jobs).expect("JSON");
+        let job = &jobs[0];
+        println!("{signal:?}: {job}");
+        assert_eq!(
+            (&job["completed"], job["result"].is_null()),
+            (&false.into(), !has_result)
+        );
+        // The drives lag so much that not even the first stroke is followed.
+        assert_eq!(job["strokes"], 0, "{job}");
+    }
 }

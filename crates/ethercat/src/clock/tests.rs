@@ -429,7 +429,11 @@ fn a_clock_that_latches_no_times_stops_nobody_if_its_slave_is_not_used() {
         let reference = clocks.reference_clock(&STATIONS, |_| true).expect("a reference");
         assert_eq!((reference.station, reference.slaves), (STATIONS[first], 4));
         let agree = |chain: &mut Chain| {
-            let times_ns: StdVec<u64> = chain.slaves.iter().map(|slave| slave.system_ns(chain.true_ns)).collect();
+            let times_ns: StdVec<u64> = chain
+                .slaves
+                .iter()
+                .map(|slave| slave.system_ns(chain.true_ns))
+                .collect();
             assert!(
                 others().all(|place| times_ns[place] == times_ns[first]),
                 "{frozen} is frozen: {times_ns:?}"
@@ -453,7 +457,10 @@ fn a_clock_that_latches_no_times_stops_nobody_if_its_slave_is_not_used() {
             .expect("the clock of the slave that is back");
         agree(&mut chain);
         let used = clocks.slaves.iter().enumerate().filter(|(place, _)| *place != frozen);
-        assert!(used.into_iter().all(|(_, slave)| slave.measured && slave.is_set), "{clocks:?}");
+        assert!(
+            used.into_iter().all(|(_, slave)| slave.measured && slave.is_set),
+            "{clocks:?}"
+        );
     }
 }
 

@@ -47,6 +47,38 @@ pub enum ClockWidth {
     Bits64,
 }
 
+/// A type of slave controller that a slave from a file can have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ControllerType {
+    /// ET1100: 64-bit clock, eight FMMUs and sync managers.
+    Et1100,
+    /// LAN9252: 64-bit clock, three FMMUs and four sync managers, reads of the information memory bring four bytes.
+    Lan9252,
+    /// That of an AKD: 32-bit clock, an information memory that the processor emulates.
+    Akd,
+}
+
+impl ControllerType {
+    /// Words of a setting.
+    pub(crate) const NAMES: [(&'static str, Self); 3] =
+        [("et1100", Self::Et1100), ("lan9252", Self::Lan9252), ("akd", Self::Akd)];
+
+    /// The silicon; it has the units that `used` has.
+    pub(crate) fn silicon(self, used: &Silicon) -> Silicon {
+        let silicon = match self {
+            Self::Et1100 => Silicon::ET1100,
+            Self::Lan9252 => Silicon::LAN9252,
+            Self::Akd => Silicon::AKD,
+        };
+        Silicon {
+            fmmus: used.fmmus.max(silicon.fmmus),
+            sync_managers: used.sync_managers.max(silicon.sync_managers),
+            ignores_lrw: used.ignores_lrw,
+            ..silicon
+        }
+    }
+}
+
 impl Silicon {
     /// An ET1100 with two MII ports.
     pub(crate) const ET1100: Self = Self {

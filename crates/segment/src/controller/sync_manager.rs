@@ -50,7 +50,8 @@ pub(crate) struct SyncManager {
     full: bool,
     ever_written: bool,
     written_since_look: bool,
-    /// Flags of the status: a buffer was written completely, or read completely.
+    /// Flags of the status: a buffer was written completely, or read completely. The first byte that the other side then reads or
+    /// writes clears them.
     was_written: bool,
     was_read: bool,
     /// Number of the buffer written last.
@@ -172,6 +173,7 @@ impl SyncManager {
     /// Sets whether the slave's side has opened a buffer to write it.
     pub(crate) fn set_composing(&mut self, composing: bool) {
         self.composing = composing;
+        self.was_read &= !composing;
     }
 
     /// The register written by the slave's side: deactivation, and the acknowledgement of a repeat request.
@@ -199,7 +201,9 @@ impl SyncManager {
         if self.deactivated || self.is_bus_written() || empty {
             return false;
         }
-        self.open |= offset == 0;
+        if offset == 0 {
+            (self.open, self.was_written) = (true, false);
+        }
         let end = offset + into.len();
         let Some(source) = self.complete.get(offset..end) else {
             return false;
@@ -221,7 +225,9 @@ impl SyncManager {
         if self.deactivated || !self.is_bus_written() || (self.is_mailbox() && self.full) {
             return false;
         }
-        self.open |= offset == 0;
+        if offset == 0 {
+            (self.open, self.was_read) = (true, false);
+        }
         let end = offset + data.len();
         let Some(target) = self.filling.get_mut(offset..end) else {
             return false;
@@ -400,11 +406,11 @@ mod tests {
         let mut inputs = manager(0x20, 4);
         inputs.put(&[1, 2, 3, 4]);
         assert!(inputs.bus_read(0, &mut [0; 2]));
-        assert_eq!(inputs.status(), 0x41, "opened to read");
+        assert_eq!(inputs.status(), 0x40, "opened to read");
         assert!(inputs.bus_read(2, &mut [0; 2]));
         assert_eq!(inputs.status(), 0x02);
         inputs.set_composing(true);
-        assert_eq!(inputs.status(), 0x82);
+        assert_eq!(inputs.status(), 0x80, "opened to write");
     }
 
     #[test]

@@ -62,6 +62,7 @@ pub(crate) struct ImageDevice {
     process_data: ProcessData,
     managers: ProcessManagers,
     has_processor: bool,
+    is_from_file: bool,
     io: Io,
     /// Objects beside those that follow from the image.
     objects: Vec<Object>,
@@ -80,6 +81,7 @@ impl ImageDevice {
             windows,
             process_data: process_data(&content),
             has_processor: !content.is_emulated,
+            is_from_file: false,
             io: Io {
                 inputs: vec![0; bytes(&managers.inputs)],
                 outputs: vec![0; bytes(&managers.outputs)],
@@ -94,6 +96,14 @@ impl ImageDevice {
     /// The slave with these objects, which replace those that are the same for every slave.
     pub(crate) fn with_objects(self, objects: Vec<Object>) -> Self {
         Self { objects, ..self }
+    }
+
+    /// The slave whose information memory is from a file.
+    pub(crate) fn from_file(image: Vec<u8>) -> Self {
+        Self {
+            is_from_file: true,
+            ..Self::new(image)
+        }
     }
 
     /// The slave on another controller.
@@ -127,6 +137,7 @@ fn silicon(content: &Content) -> Silicon {
         (true, true) => Silicon {
             clock: Silicon::COUPLER.clock,
             features: Silicon::COUPLER.features,
+            sii_flags: Silicon::COUPLER.sii_flags,
             ..small
         },
         (false, _) => Silicon::ET1100,
@@ -223,6 +234,10 @@ impl Device for ImageDevice {
 
     fn silicon(&self) -> Silicon {
         self.silicon
+    }
+
+    fn is_from_file(&self) -> bool {
+        self.is_from_file
     }
 
     fn has_processor(&self) -> bool {

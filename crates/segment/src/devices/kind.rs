@@ -103,9 +103,9 @@ impl SlaveKind {
             (Self::Akd, Some(servo)) => Box::new(ServoDevice::new(&akd::MODEL, servo, serial)),
             (Self::Ek1122, None) => Box::new(Coupler::junction()),
             (Self::Esi(device), _) => {
-                Box::new(ImageDevice::new(device.image().to_vec()).with_objects(device.objects().to_vec()))
+                Box::new(ImageDevice::from_file(device.image().to_vec()).with_objects(device.objects().to_vec()))
             }
-            (Self::Sii(image), _) => Box::new(ImageDevice::new(image.to_vec())),
+            (Self::Sii(image), _) => Box::new(ImageDevice::from_file(image.to_vec())),
             (Self::El1004, _) => Box::new(terminal::EL1004.device()),
             (Self::El1008, _) => Box::new(terminal::EL1008.device()),
             (Self::El2004, _) => Box::new(terminal::EL2004.device()),

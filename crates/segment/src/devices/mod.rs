@@ -73,6 +73,10 @@ pub(crate) trait Device: LiveObjects + fmt::Debug + Send {
     fn silicon(&self) -> Silicon {
         Silicon::ET1100
     }
+    /// Whether its information memory is from a file, so that its controller may be of any type.
+    fn is_from_file(&self) -> bool {
+        false
+    }
     /// Whether a processor reads the state requests. Without one the controller emulates the device, or nobody answers.
     fn has_processor(&self) -> bool {
         true

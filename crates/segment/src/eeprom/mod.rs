@@ -18,8 +18,10 @@ use etherpen_ethercat::wire::sii::{WORD_CHECKSUM, checksum};
 pub(crate) const BASE: usize = registers::SII_CONFIG;
 /// Bytes of the interface.
 pub(crate) const LENGTH: usize = 16;
-/// Default duration of a command, ns: eight bytes at 400 kHz.
+/// Default duration of a read, ns: eight bytes at 400 kHz.
 pub(crate) const BUSY_NS: u64 = 300_000;
+/// Bytes that pass the wire to the memory in a read.
+const READ_BYTES: u64 = 12;
 /// Time in which a memory stores a word after the command has ended, ns: an EK1100 (capture of ethercrab's alias address)
 /// refused commands up to 2.9 ms after a write and took them from 3.5 ms on.
 const STORE_NS: u64 = 3_200_000;
@@ -67,7 +69,9 @@ pub enum SiiFault {
 pub(crate) struct Eeprom {
     image: Vec<u8>,
     pending: u16,
+    begun_ns: u64,
     due_ns: u64,
+    /// Time that a read takes.
     busy_ns: u64,
     /// Until when the memory stores the last word.
     stores_until_ns: u64,
@@ -82,11 +86,12 @@ pub(crate) struct Eeprom {
 }
 
 impl Eeprom {
-    /// A memory whose commands take this long; `flags` are the idle state of the control register.
+    /// A memory whose reads take this long, other commands a part of it; `flags` are the idle state of the control register.
     pub(crate) fn new(image: Vec<u8>, busy_ns: u64, flags: u16) -> Self {
         let mut eeprom = Self {
             image,
             pending: 0,
+            begun_ns: 0,
             due_ns: 0,
             busy_ns,
             stores_until_ns: 0,
@@ -167,7 +172,14 @@ impl Eeprom {
             _ if owned => ERROR_COMMAND,
             command @ (COMMAND_READ | COMMAND_WRITE | COMMAND_RELOAD) => {
                 self.pending = command;
-                self.due_ns = now_ns.saturating_add(self.busy_ns);
+                self.begun_ns = now_ns;
+                // Twelve bytes pass the wire for a read, four for a write, one if the memory does not answer.
+                let bytes = match command {
+                    _ if now_ns < self.stores_until_ns => 1,
+                    COMMAND_WRITE => 4,
+                    _ => READ_BYTES,
+                };
+                self.due_ns = now_ns.saturating_add(self.busy_ns * bytes / READ_BYTES);
                 BUSY | command
             }
             _ => ERROR_COMMAND,
@@ -194,9 +206,8 @@ impl Eeprom {
         let start = usize::try_from(start).unwrap_or(usize::MAX);
         let bytes = if self.flags & READS_EIGHT_BYTES != 0 { 8 } else { 4 };
         let mut status = 0;
-        let began_ns = self.due_ns.saturating_sub(self.busy_ns);
         match command {
-            _ if self.fault == SiiFault::Acknowledge || began_ns < self.stores_until_ns => status = ERROR_COMMAND,
+            _ if self.fault == SiiFault::Acknowledge || self.begun_ns < self.stores_until_ns => status = ERROR_COMMAND,
             COMMAND_READ if start < self.image.len() => {
                 for (index, target) in registers.iter_mut().skip(DATA).take(bytes).enumerate() {
                     *target = self.byte(start + index);

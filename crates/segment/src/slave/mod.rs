@@ -77,6 +77,9 @@ impl Slave {
             .map_or(nature.lock_ns, |ms| 1_000_000 * i64::from(ms.max(1)));
         let nature = Nature { lock_ns, ..nature };
         let mut silicon = device.silicon();
+        if let Some(controller) = place.controller.filter(|_| device.is_from_file()) {
+            silicon = controller.silicon(&silicon);
+        }
         silicon.clock = match (silicon.clock, place.clock) {
             (ClockWidth::Bits64, None) => width,
             (own, Some(width)) if own.has_system_time() => width,

@@ -1,6 +1,6 @@
 //! What is individual about one slave: its processor's manners, and what its owner has set on it.
 
-use crate::controller::silicon::ClockWidth;
+use crate::controller::silicon::{ClockWidth, ControllerType};
 use crate::drive::OneTurn;
 
 /// Properties of a slave's processor; they mean nothing for a slave that has none.
@@ -33,6 +33,9 @@ pub struct PlaceOptions {
     pub identification: Option<u16>,
     /// Width of the clock; `None` for the kind's, or else the segment's width. No effect on a kind without a clock.
     pub clock: Option<ClockWidth>,
+    /// Type of the slave controller; `None` for the one that the information memory suggests. No effect on a kind that is not
+    /// from a file.
+    pub controller: Option<ControllerType>,
     /// Password of the files (FoE); 0 for none. No effect on a kind without files.
     pub password: u32,
     /// Whether the drive counts one motor turn only. No effect on a drive that counts one turn by itself (AX2000) and on other

@@ -5,7 +5,7 @@
 
 use etherpen_ethercat::wire::sii::checksum;
 use etherpen_segment::rig::{APWR, BWR, frame_of};
-use etherpen_segment::{Flywheel, Segment, SegmentOptions, SlaveKind};
+use etherpen_segment::{ControllerType, Flywheel, PlaceOptions, Segment, SegmentOptions, SlaveKind};
 use std::collections::{BTreeMap, BTreeSet};
 use std::io::Write as _;
 use std::path::Path;
@@ -13,7 +13,7 @@ use std::path::Path;
 mod excuses;
 mod recordings;
 use excuses::{Reason, counter_excused, data_excused};
-use recordings::{AKD, Expected, FOUR_DRIVES, RECORDINGS, Recorded, Recording};
+use recordings::{AKD, Expected, FOUR_DRIVES, RECORDINGS, Recorded, Recording, Speed};
 
 /// Bit of the first byte of a source address that the first slave controller sets.
 const SOURCE_MARK: u8 = 0x02;
@@ -234,10 +234,17 @@ fn of_images(images: Vec<Vec<u8>>) -> Vec<SlaveKind> {
     images.into_iter().map(|image| SlaveKind::Sii(image.into())).collect()
 }
 
-fn segment_of(slaves: Vec<SlaveKind>) -> Segment<Flywheel> {
+/// A segment of these slaves, the ones from files on this type of controller, as fast as the recorded ones.
+fn segment_of(slaves: Vec<SlaveKind>, controller: Option<ControllerType>, speed: Speed) -> Segment<Flywheel> {
+    let mut place = PlaceOptions {
+        controller,
+        ..PlaceOptions::default()
+    };
+    place.processor.mailbox_ms = speed.mailbox_ms;
     let options = SegmentOptions {
+        places: vec![place; slaves.len()],
         slaves,
-        sii_busy_us: 10,
+        sii_busy_us: speed.memory_us,
         ..SegmentOptions::default()
     };
     Segment::new(&options, Flywheel::default())
@@ -344,7 +351,7 @@ fn requests_to_a_real_akd_are_answered_as_the_akd_did() {
     let image = std::fs::read(folder.join("akd.hex")).unwrap();
     let outcome = replay(
         &exchanges(&file),
-        &mut segment_of(of_images(vec![image])),
+        &mut segment_of(of_images(vec![image]), Some(ControllerType::Akd), Speed::AKD),
         Pace::Recorded,
     );
     let unexpected = outcome.unexpected(&AKD, "soem-sdinfo-akd.pcapng");
@@ -366,7 +373,11 @@ fn requests_to_four_simulated_drives_are_answered_as_those_did() {
                 .for_each(|(byte, same)| *byte = *same);
         }
     }
-    let outcome = replay(&exchanges, &mut segment_of(of_images(images)), Pace::Millisecond);
+    let outcome = replay(
+        &exchanges,
+        &mut segment_of(of_images(images), None, Speed::SIMULATED),
+        Pace::Millisecond,
+    );
     let unexpected = outcome.unexpected(&FOUR_DRIVES, "soem-slaveinfo_vs_kickcat-4xEVS-NET.pcapng");
     assert_eq!(unexpected, Vec::<String>::new());
 }
@@ -407,7 +418,11 @@ fn requests_of_three_masters_are_answered_as_the_recorded_slaves_did() {
         println!("{}", recording.file);
         let file = std::fs::read(folder.join(recording.file)).unwrap();
         let exchanges = exchanges(&file);
-        let mut segment = segment_of(recorded_slaves(recording, &folder, &exchanges));
+        let mut segment = segment_of(
+            recorded_slaves(recording, &folder, &exchanges),
+            recording.controller,
+            recording.speed,
+        );
         if let Some(state) = recording.begins_in {
             begin(&mut segment, &recorded_stations(&exchanges), state);
         }

@@ -175,7 +175,13 @@ fn who_begins_to_distribute_its_time_runs_freely_even_if_the_cables_cannot_be_me
         chain.losses = 1_000;
         chain.log.clear();
         let told = chain.run(async |mut port: AcyclicPort<'static, 64>| {
-            tell_delays(&mut port, &STATIONS, &mut clocks, present(|number| !lost.contains(&number))).await
+            tell_delays(
+                &mut port,
+                &STATIONS,
+                &mut clocks,
+                present(|number| !lost.contains(&number)),
+            )
+            .await
         });
         assert!(told.is_err());
         assert_eq!(chain.log.matches("Fpwr:0930").count(), 1, "{}", chain.log);
@@ -209,8 +215,9 @@ fn a_slave_that_may_be_another_one_is_told_its_delay_again() {
     let mut clocks = chain.set_up();
     clocks.was_off(2);
     chain.slaves[2].put(register::DC_DELAY, &[0; 4]);
-    let told = chain
-        .run(async |mut port: AcyclicPort<'static, 64>| tell_delays(&mut port, &STATIONS, &mut clocks, |_| Presence::Used).await);
+    let told = chain.run(async |mut port: AcyclicPort<'static, 64>| {
+        tell_delays(&mut port, &STATIONS, &mut clocks, |_| Presence::Used).await
+    });
     told.expect("the delays");
     assert_eq!(
         read_u32(&chain.slaves[2].memory, usize::from(register::DC_DELAY)),
@@ -271,8 +278,9 @@ fn a_replaced_clock_is_told_its_delay_whatever_it_was_told_elsewhere() {
     };
     clocks.replace(0, &found);
     clocks.found_in_time(0);
-    let told = chain
-        .run(async |mut port: AcyclicPort<'static, 64>| tell_delays(&mut port, &STATIONS, &mut clocks, |_| Presence::Used).await);
+    let told = chain.run(async |mut port: AcyclicPort<'static, 64>| {
+        tell_delays(&mut port, &STATIONS, &mut clocks, |_| Presence::Used).await
+    });
     told.expect("the delays");
     assert_eq!(read_u32(&chain.slaves[0].memory, usize::from(register::DC_DELAY)), 0);
 }
