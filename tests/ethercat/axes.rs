@@ -1,5 +1,6 @@
 //! Axes on a bus without a robot, behind what fills the first frame, at cycle times other than a millisecond.
 
+use crate::again::clocks_are_on;
 use crate::device_images::terminal_of_bytes;
 use core::future::Future;
 use core::pin::Pin;
@@ -60,6 +61,7 @@ impl Axes {
             settings: [settings; DRIVES],
             exchange,
             terminals: SlaveSet::ALL,
+            clocks: clocks_are_on(),
             watchdog_ms: 100,
             cycle_ns: cycle_us as u32 * 1_000,
             ..BusSetup::default()
@@ -166,7 +168,7 @@ impl Axes {
 }
 
 #[test]
-fn axes_beyond_one_frame_go_to_their_targets_at_their_limit_of_speed_whatever_the_cycle() {
+pub(crate) fn axes_beyond_one_frame_go_to_their_targets_at_their_limit_of_speed_whatever_the_cycle() {
     for (cycle_us, exchange) in [(500, ExchangeKind::Combined), (4_000, ExchangeKind::Split)] {
         let mut bus = Axes::new(cycle_us, exchange);
         while !bus.log.contains(&BusEvent::Operational) {

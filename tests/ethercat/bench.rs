@@ -1,5 +1,6 @@
 //! A master without drivers on a virtual chain, in virtual time, and what happens to single frames.
 
+use crate::again::clocks_are_on;
 use core::future::Future;
 use core::pin::Pin;
 use core::task::{Context, Waker};
@@ -51,7 +52,8 @@ pub(crate) struct Bench<const SLAVES: usize, const FURTHER: usize, F: SlaveFacto
 
 impl<const SLAVES: usize, const FURTHER: usize, F: SlaveFactory + 'static> Bench<SLAVES, FURTHER, F> {
     /// Starts a master for this setup; its cycle is the setup's.
-    pub(crate) fn start(options: &SegmentOptions, setup: BusSetup<F>) -> Self {
+    pub(crate) fn start(options: &SegmentOptions, mut setup: BusSetup<F>) -> Self {
+        setup.clocks |= clocks_are_on();
         let queues = Box::leak(Box::new(BusQueues::<F, SLAVES, 1024, FURTHER>::new()));
         let (exchange_end, supervisor_end, mut application) = queues.split();
         let cycle_us = u64::from(setup.cycle_ns) / 1_000;

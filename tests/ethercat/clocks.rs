@@ -111,6 +111,53 @@ again! {
         an_index_pulse_and_the_present_place_become_the_home_position,
         a_search_without_an_end_is_timed_out_and_a_fault_ends_it_at_rest,
         a_touch_probe_stores_the_place_of_the_next_index_pulse_each_time_it_is_armed;
+    axes [crate::axes]
+        axes_beyond_one_frame_go_to_their_targets_at_their_limit_of_speed_whatever_the_cycle;
+    odd_controllers [crate::odd_controllers]
+        a_slave_without_lrw_exchanges_its_data_by_lrd_and_lwr_in_any_chain,
+        a_slave_without_lrw_that_replaces_one_with_it_ends_the_combined_exchange_at_its_repair,
+        a_slave_without_lrw_that_was_away_at_the_bring_up_is_used_from_the_next_one_on,
+        stale_units_of_a_large_controller_that_takes_no_blocks_of_them_are_cleared;
+    other_masters [crate::other_masters]
+        a_slave_that_is_plugged_in_with_power_loses_what_another_master_has_left_in_it,
+        another_product_that_has_the_address_of_a_lost_slave_is_refused_until_the_right_one_is_back,
+        the_address_of_a_lost_slave_at_another_place_is_taken_away_and_the_right_one_comes_back,
+        an_equal_device_with_the_address_of_a_lost_one_is_configured_anew,
+        all_units_of_a_slave_that_comes_with_the_address_of_another_are_cleared;
+    own_driver [crate::own_driver]
+        members_with_inputs_or_outputs_only_operate_on_slaves_that_refuse_an_empty_sync_manager;
+    real_chain [crate::real_chain]
+        the_robots_drives_operate_among_eight_other_devices_in_any_order,
+        the_robots_drives_operate_among_eight_real_memories_in_any_order,
+        no_damaged_memory_of_an_unused_slave_keeps_the_drives_from_operating,
+        what_can_come_up_comes_up_while_the_drives_run,
+        what_can_come_up_of_eight_real_memories_comes_up_while_the_drives_run,
+        the_descriptions_say_what_the_dumps_hold;
+    without_drivers [crate::without_drivers]
+        drives_are_exchanged_by_the_objects_that_they_list_and_terminals_by_their_memory,
+        any_cycle_time_from_250_us_to_10_ms_brings_a_chain_up_exchanges_and_repairs_it,
+        chosen_process_data_are_assigned_mapped_and_found_where_they_lie,
+        what_another_master_left_in_ports_and_aliases_hides_no_slave,
+        a_chain_that_goes_off_as_a_whole_is_not_reported_in_operation_and_comes_up_unasked;
+}
+
+/// Modules whose tests do not run from here, and why.
+const MODULES_WITHOUT: [(&str, &str); 6] = [
+    ("again", "it has no tests of its own"),
+    ("bench", "it has no tests of its own"),
+    ("clocks", "it runs the others"),
+    ("device_images", "it has no tests of its own"),
+    ("rig", "it has no tests of its own"),
+    ("several_frames", "its tests choose for themselves"),
+];
+
+#[test]
+fn every_module_of_tests_runs_with_clocks_too_or_says_why_not() {
+    let lines = include_str!("main.rs").lines();
+    let modules = lines.filter_map(|line| line.strip_prefix("mod ")?.strip_suffix(';'));
+    let is_listed = |module: &&str| AGAIN.iter().any(|(listed, _, _)| listed == module);
+    let without: Vec<_> = modules.filter(|module| !is_listed(module)).collect();
+    assert_eq!(without, MODULES_WITHOUT.map(|(module, _)| module));
 }
 
 #[test]

@@ -28,6 +28,7 @@ pub(crate) const DEFAULT: PlaceOptions = PlaceOptions {
     serial: None,
     identification: None,
     clock: None,
+    controller: None,
     password: 0,
     one_turn: None,
     lock_ms: None,
@@ -252,7 +253,7 @@ pub(crate) fn overlap(one: (u32, u32), other: (u32, u32)) -> bool {
 }
 
 #[test]
-fn a_slave_without_lrw_exchanges_its_data_by_lrd_and_lwr_in_any_chain() {
+pub(crate) fn a_slave_without_lrw_exchanges_its_data_by_lrd_and_lwr_in_any_chain() {
     let (mut together, mut apart) = (0, 0);
     for seed in 0..24_u64 {
         let mut random = Random::new(seed);
@@ -310,7 +311,7 @@ fn a_slave_without_lrw_exchanges_its_data_by_lrd_and_lwr_in_any_chain() {
 }
 
 #[test]
-fn a_slave_without_lrw_that_replaces_one_with_it_ends_the_combined_exchange_at_its_repair() {
+pub(crate) fn a_slave_without_lrw_that_replaces_one_with_it_ends_the_combined_exchange_at_its_repair() {
     for seed in 0..40_u64 {
         let mut random = Random::new(seed);
         let (is_told_by_memory, is_first_away) = (seed % 2 == 0, seed / 2 % 2 == 0);
@@ -402,7 +403,7 @@ fn a_slave_without_lrw_that_replaces_one_with_it_ends_the_combined_exchange_at_i
 }
 
 #[test]
-fn a_slave_without_lrw_that_was_away_at_the_bring_up_is_used_from_the_next_one_on() {
+pub(crate) fn a_slave_without_lrw_that_was_away_at_the_bring_up_is_used_from_the_next_one_on() {
     let mut random = Random::new(1);
     let chain = [
         Member::coupler(),
@@ -449,7 +450,7 @@ pub(crate) fn sync_manager(number: usize) -> u16 {
 pub(crate) const STALE_MANAGER: [u8; 8] = [0x00, 0x1F, 4, 0, 0x24, 0, 1, 0];
 
 #[test]
-fn stale_units_of_a_large_controller_that_takes_no_blocks_of_them_are_cleared() {
+pub(crate) fn stale_units_of_a_large_controller_that_takes_no_blocks_of_them_are_cleared() {
     // Slaves with eight units of each kind, in use or not, in front of others.
     for (large, is_used) in [
         (Member::coupler(), true),

@@ -19,7 +19,7 @@ struct Left {
 }
 
 #[test]
-fn a_slave_that_is_plugged_in_with_power_loses_what_another_master_has_left_in_it() {
+pub(crate) fn a_slave_that_is_plugged_in_with_power_loses_what_another_master_has_left_in_it() {
     /// The second port stays closed: no frame gets behind the slave.
     const PORT_1_CLOSED: u8 = 0x0C;
     for seed in 0..48_u64 {
@@ -90,7 +90,7 @@ fn a_slave_that_is_plugged_in_with_power_loses_what_another_master_has_left_in_i
 }
 
 #[test]
-fn another_product_that_has_the_address_of_a_lost_slave_is_refused_until_the_right_one_is_back() {
+pub(crate) fn another_product_that_has_the_address_of_a_lost_slave_is_refused_until_the_right_one_is_back() {
     let products = [
         (Product::Cia402, SlaveKind::Cia402),
         (Product::Ax2000, SlaveKind::Ax2000),
@@ -134,7 +134,7 @@ fn another_product_that_has_the_address_of_a_lost_slave_is_refused_until_the_rig
 }
 
 #[test]
-fn the_address_of_a_lost_slave_at_another_place_is_taken_away_and_the_right_one_comes_back() {
+pub(crate) fn the_address_of_a_lost_slave_at_another_place_is_taken_away_and_the_right_one_comes_back() {
     let mut addressed = 0;
     for seed in 0..24_u64 {
         let mut random = Random::new(seed);
@@ -178,7 +178,7 @@ fn the_address_of_a_lost_slave_at_another_place_is_taken_away_and_the_right_one_
 }
 
 #[test]
-fn an_equal_device_with_the_address_of_a_lost_one_is_configured_anew() {
+pub(crate) fn an_equal_device_with_the_address_of_a_lost_one_is_configured_anew() {
     for (place, is_in_share) in [(0, true), (1, true), (2, true), (1, false)] {
         let mut random = Random::new(place as u64);
         let mut chain = vec![Member::of_bytes(1, 2, true), Member::of_bytes(2, 1, true)];
@@ -208,7 +208,7 @@ fn an_equal_device_with_the_address_of_a_lost_one_is_configured_anew() {
 }
 
 #[test]
-fn all_units_of_a_slave_that_comes_with_the_address_of_another_are_cleared() {
+pub(crate) fn all_units_of_a_slave_that_comes_with_the_address_of_another_are_cleared() {
     for seed in 0..32_u64 {
         let mut random = Random::new(seed);
         // One controller with eight units, in blocks or in pairs, and one with three, in either order.

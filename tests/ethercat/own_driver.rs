@@ -101,7 +101,7 @@ fn lengths<const INPUTS: bool>() -> Vec<(u16, u16)> {
 }
 
 #[test]
-fn members_with_inputs_or_outputs_only_operate_on_slaves_that_refuse_an_empty_sync_manager() {
+pub(crate) fn members_with_inputs_or_outputs_only_operate_on_slaves_that_refuse_an_empty_sync_manager() {
     let inputs = lengths::<true>();
     assert!(
         inputs[0].0 == 0 && inputs[0].1 > 0 && inputs[2] == inputs[0],

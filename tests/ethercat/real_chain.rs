@@ -191,7 +191,7 @@ fn every_image_comes_as_far_as_it_can(images: &[Vec<u8>]) {
 }
 
 #[test]
-fn the_robots_drives_operate_among_eight_other_devices_in_any_order() {
+pub(crate) fn the_robots_drives_operate_among_eight_other_devices_in_any_order() {
     for seed in 1..=6 {
         println!("seed {seed}");
         drives_operate(&chain(&described(), seed));
@@ -199,7 +199,7 @@ fn the_robots_drives_operate_among_eight_other_devices_in_any_order() {
 }
 
 #[test]
-fn the_robots_drives_operate_among_eight_real_memories_in_any_order() {
+pub(crate) fn the_robots_drives_operate_among_eight_real_memories_in_any_order() {
     let Some(images) = dumps("the chain of eight real memories") else {
         return;
     };
@@ -227,7 +227,7 @@ fn damaged(images: Vec<Vec<u8>>, random: &mut Random) -> Vec<Vec<u8>> {
 }
 
 #[test]
-fn no_damaged_memory_of_an_unused_slave_keeps_the_drives_from_operating() {
+pub(crate) fn no_damaged_memory_of_an_unused_slave_keeps_the_drives_from_operating() {
     let mut random = Random::new(21);
     for seed in 1..=12 {
         println!("seed {seed}");
@@ -246,12 +246,12 @@ fn no_damaged_memory_of_an_unused_slave_keeps_the_drives_from_operating() {
 }
 
 #[test]
-fn what_can_come_up_comes_up_while_the_drives_run() {
+pub(crate) fn what_can_come_up_comes_up_while_the_drives_run() {
     every_image_comes_as_far_as_it_can(&described());
 }
 
 #[test]
-fn what_can_come_up_of_eight_real_memories_comes_up_while_the_drives_run() {
+pub(crate) fn what_can_come_up_of_eight_real_memories_comes_up_while_the_drives_run() {
     if let Some(images) = dumps("the states of eight real memories") {
         every_image_comes_as_far_as_it_can(&images);
     }
@@ -271,7 +271,7 @@ fn pdos(image: &[u8]) -> Pdos {
 }
 
 #[test]
-fn the_descriptions_say_what_the_dumps_hold() {
+pub(crate) fn the_descriptions_say_what_the_dumps_hold() {
     let Some(dumps) = dumps("the comparison of descriptions with dumps") else {
         return;
     };

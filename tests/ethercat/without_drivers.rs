@@ -52,7 +52,7 @@ fn word(slave: u8, direction: Direction, index: u16, bits: u8) -> WantedValue {
 }
 
 #[test]
-fn drives_are_exchanged_by_the_objects_that_they_list_and_terminals_by_their_memory() {
+pub(crate) fn drives_are_exchanged_by_the_objects_that_they_list_and_terminals_by_their_memory() {
     use SlaveKind::{Ax2000, Cia402, Ek1100, El1008, El2004};
     let chain = [Ek1100, Ax2000, El1008, Cia402, El2004, Ax2000];
     let values = [
@@ -96,7 +96,7 @@ fn drives_are_exchanged_by_the_objects_that_they_list_and_terminals_by_their_mem
 }
 
 #[test]
-fn any_cycle_time_from_250_us_to_10_ms_brings_a_chain_up_exchanges_and_repairs_it() {
+pub(crate) fn any_cycle_time_from_250_us_to_10_ms_brings_a_chain_up_exchanges_and_repairs_it() {
     for seed in 0..12_u64 {
         let mut random = Random::new(seed);
         let cycle_us = [250, 500, 1_000, 2_000, 4_000, 10_000][(seed % 6) as usize];
@@ -154,7 +154,7 @@ fn any_cycle_time_from_250_us_to_10_ms_brings_a_chain_up_exchanges_and_repairs_i
 }
 
 #[test]
-fn chosen_process_data_are_assigned_mapped_and_found_where_they_lie() {
+pub(crate) fn chosen_process_data_are_assigned_mapped_and_found_where_they_lie() {
     const fn chosen(manager: u8, pdo: u16, index: u16, bits: u8) -> ChosenEntry {
         ChosenEntry {
             slave: 1,
@@ -224,7 +224,7 @@ fn write_as_another(bench: &mut Bench, position: u16, register: u16, bytes: &[u8
 }
 
 #[test]
-fn what_another_master_left_in_ports_and_aliases_hides_no_slave() {
+pub(crate) fn what_another_master_left_in_ports_and_aliases_hides_no_slave() {
     use SlaveKind::{Ek1100, El1008, El2004};
     /// Port 1 stays closed, from 0x0101.
     const PORT_1_CLOSED: u8 = 0x0C;
@@ -271,7 +271,7 @@ fn what_another_master_left_in_ports_and_aliases_hides_no_slave() {
 
 /// The supply of a whole chain fails while it is brought up, at any moment.
 #[test]
-fn a_chain_that_goes_off_as_a_whole_is_not_reported_in_operation_and_comes_up_unasked() {
+pub(crate) fn a_chain_that_goes_off_as_a_whole_is_not_reported_in_operation_and_comes_up_unasked() {
     use SlaveKind::{Ek1100, El1008, El2004};
     let chain = [Ek1100, El1008, El2004, El1008];
     for (cycle_us, terminals) in [

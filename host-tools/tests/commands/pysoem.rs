@@ -70,6 +70,8 @@ fn pysoem_brings_up_terminals_and_drives_and_exchanges_ten_thousand_cycles_witho
         report["working_counters"],
         json!({ WORKING_COUNTER.to_string(): CYCLES })
     );
+    // Nor have those that were needed until every motor had moved.
+    assert_eq!(report["more_working_counters"], json!([WORKING_COUNTER]));
     assert_eq!(
         (&report["cycles_disabled"], &report["clocks"]),
         (&json!(0), &json!(true))

@@ -16,8 +16,6 @@ import pysoem
 PATIENCE_S = 120
 # Longest wait for one frame, us. SOEM triples it in places and keeps it in 32 bits.
 FRAME_US = 30_000_000
-# Most cycles until all motors have moved.
-MORE_CYCLES_MAX = 200_000
 # Process-data watchdog, ms: the default of 100 ms is too short on a busy computer.
 WATCHDOG_MS = 6_000
 SYNC0_NS = 1_000_000
@@ -225,16 +223,18 @@ def main(interface, cycles="10000"):
     said("cycles done")
     report["working_counters"] = counters
     report["cycles_disabled"] = disabled
-    report["states"]["OP after the cycles"] = bus.states()
 
     def moved():
         return [after[1] - start[1] for start, after in zip(before, bus.shown())]
 
     # On a fast computer the cycles are over before a motor has taken over its load.
-    for _ in range(MORE_CYCLES_MAX):
-        if min(moved()) > 0:
-            break
-        bus.cycle()
+    more_counters, give_up_s = {expected: 0}, time.monotonic() + PATIENCE_S
+    while any(distance <= 0 for distance in moved()) and time.monotonic() < give_up_s:
+        counter = bus.cycle()
+        more_counters[counter] = more_counters.get(counter, 0) + 1
+        report["cycles_disabled"] += any(status & STATUS_MASK != STEPS[-1][1] for status, _ in bus.shown())
+    report["more_working_counters"] = list(more_counters)
+    report["states"]["OP after the cycles"] = bus.states()
     for (slave, _), distance in zip(bus.drives, moved()):
         sync0 = {
             "activation": bus.register(slave, SYNC_ACTIVATION, "<B"),
