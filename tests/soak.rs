@@ -296,10 +296,10 @@ fn path() -> Vec<PathVertex> {
     path
 }
 
-fn soak(exchange: ExchangeKind, cycles: u32, seed: u64) {
+fn soak(exchange: ExchangeKind, clocks: bool, cycles: u32, seed: u64) {
     let mut config = Config::default();
     config.bus.blind_max_ms = BLIND_MAX_MS;
-    config.bus.exchange = exchange;
+    (config.bus.exchange, config.bus.clocks) = (exchange, clocks);
     let options = CellOptions {
         seed,
         faults: SCRIPT.parse().expect("the script"),
@@ -350,10 +350,15 @@ fn soak(exchange: ExchangeKind, cycles: u32, seed: u64) {
 
 #[test]
 fn a_million_cycles_with_one_percent_of_every_fault_latch_nothing_and_every_event_is_counted() {
-    soak(ExchangeKind::Split, 1_000_000, 1);
+    soak(ExchangeKind::Split, false, 1_000_000, 1);
 }
 
 #[test]
 fn inputs_and_outputs_in_one_telegram_stand_the_same() {
-    soak(ExchangeKind::Combined, 100_000, 2);
+    soak(ExchangeKind::Combined, false, 100_000, 2);
+}
+
+#[test]
+fn distributed_clocks_stand_the_same() {
+    soak(ExchangeKind::Split, true, 200_000, 3);
 }

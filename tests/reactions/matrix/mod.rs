@@ -16,6 +16,7 @@ mod fault;
 mod position;
 mod situation;
 
+use crate::again::with_clocks;
 use crate::STILL_RAD_S;
 use crate::robot::Robot;
 use etherpen::application::{Fault, Mode, Refusal};
@@ -38,6 +39,17 @@ const PROOF_MM: f64 = 10.0;
 const PROOF_TOLERANCE_MM: f64 = 0.2;
 /// One of so many cells is measured in every test run.
 const SAMPLED: usize = 11;
+const SAMPLED_WITH_CLOCKS: usize = 3;
+/// Columns of a row.
+const TOLD: usize = 2;
+const NOTICED: usize = 3;
+const STANDS: usize = 4;
+const ASTRAY: usize = 5;
+const STEPS: usize = 6;
+/// How much later the same may come with distributed clocks, ms: what is read between two cycles is read in other ones.
+const LATER_MS: f64 = 100.0;
+/// How much further the pen may go, mm.
+const FURTHER_MM: f64 = 0.2;
 const DOCUMENT: &str = "docs/faults.md";
 const HEADING: &str = "## The fault matrix";
 /// Set to write the tables instead of comparing with them: 1 for all rows, or parts of the names of the rows to measure,
@@ -317,6 +329,39 @@ fn cells_of_the_fault_matrix_here_and_there_are_as_written() {
             situation.name
         );
     }
+}
+
+/// Other cells, with distributed clocks: what is told and done must be as without, and the pen goes no further. Where several
+/// slaves fail together, another one may be named first. While the bus is configured a fault comes at another step.
+fn cells_with_clocks() {
+    let (_, text) = document();
+    let situations = SITUATIONS.iter();
+    let cells = situations
+        .filter(|situation| situation.mode != Mode::BusConfiguring)
+        .flat_map(|situation| FAULTS.iter().map(move |trouble| (situation, trouble)));
+    let mut different = Vec::new();
+    for (situation, trouble) in cells.skip(1).step_by(SAMPLED_WITH_CLOCKS) {
+        let with = measure(situation, trouble).row(trouble);
+        let without = written_row(situation, trouble, &text);
+        let columns = |row: &str| -> Vec<String> { row.split('|').map(|column| column.trim().to_owned()).collect() };
+        let (found, written) = (columns(&with), columns(without));
+        let number = |columns: &[String], at: usize| -> Option<f64> { columns[at].split(' ').next()?.parse().ok() };
+        let later = |at: usize, most: f64| match (number(&found, at), number(&written, at)) {
+            (Some(found), Some(written)) => found > written + most,
+            (found, written) => found != written,
+        };
+        let told = |columns: &[String]| columns[TOLD].replace(|letter: char| letter.is_ascii_digit(), "");
+        let is_same = told(&found) == told(&written) && found[STEPS] == written[STEPS];
+        if !is_same || later(NOTICED, LATER_MS) || later(STANDS, LATER_MS) || later(ASTRAY, FURTHER_MM) {
+            different.push(format!("{}:\n{with}\n{without}", situation.name));
+        }
+    }
+    assert!(different.is_empty(), "{}", different.join("\n"));
+}
+
+#[test]
+fn cells_of_the_fault_matrix_with_clocks_are_as_those_without() {
+    with_clocks(cells_with_clocks);
 }
 
 /// Which rows are measured, by their names.
