@@ -35,7 +35,7 @@ fn run(platform: &mut Platform) {
     let mut queues = Queues::new();
     let (exchange, supervisor, mut application) = queues.split();
     let mut group = EtherCatGroup::new(Exchange::new(exchange, ADDRESS));
-    let mut supervisor = Supervisor::new(supervisor);
+    let mut supervisor = Supervisor::new(supervisor).with_clock(Platform::now_ms);
     let mut supervision = pin!(supervisor.run());
     // Of the virtual drive. Digits of the target velocity (60FFh).
     let drive = DriveSettings {
@@ -77,7 +77,6 @@ fn run(platform: &mut Platform) {
             ends = application.commands.enqueue(BusCommand::Stop).is_ok();
         }
         group.write(0, &axis.set_velocity(target, speed_rad_s));
-        // The supervisor counts its polls as milliseconds.
         let _ = supervision.as_mut().poll(&mut Context::from_waker(Waker::noop()));
         while let Some(event) = application.events.dequeue() {
             use BusEvent::{Operational, Refused, Returned, SlaveLeft, SlaveLost, Stopped};

@@ -31,7 +31,7 @@ fn run(platform: &mut Platform) {
     let mut queues = Queues::new();
     let (exchange, supervisor, mut application) = queues.split();
     let mut exchange = Exchange::new(exchange, ADDRESS);
-    let mut supervisor = Supervisor::new(supervisor);
+    let mut supervisor = Supervisor::new(supervisor).with_clock(Platform::now_ms);
     let mut supervision = pin!(supervisor.run());
     let setup = BusSetup {
         slaves: 3,
@@ -56,7 +56,6 @@ fn run(platform: &mut Platform) {
             let value = exchange.get(&inputs).unwrap_or(0);
             exchange.set(&outputs, value);
         }
-        // The supervisor counts its polls as milliseconds.
         let _ = supervision.as_mut().poll(&mut Context::from_waker(Waker::noop()));
         while let Some(event) = application.events.dequeue() {
             match event {

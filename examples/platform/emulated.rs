@@ -15,6 +15,8 @@ mod semihosting;
 
 use core::fmt::Arguments;
 use core::panic::PanicInfo;
+use core::sync::atomic::AtomicU32;
+use core::sync::atomic::Ordering::Relaxed;
 use defmt as _;
 use device::CLOCK_HZ;
 use etherpen::ethernet::lan9118::Lan9118;
@@ -49,6 +51,16 @@ impl Platform {
     pub(crate) fn tick(&mut self) {
         while free_run().wrapping_sub(self.ticked_at) < CLOCK_HZ / 1_000 {}
         self.ticked_at = free_run();
+    }
+
+    /// The time since the first call, ms, wrapping; to be called every minute at least, before the counter wraps.
+    pub(crate) fn now_ms() -> u32 {
+        static COUNTED: AtomicU32 = AtomicU32::new(0);
+        static PASSED_MS: AtomicU32 = AtomicU32::new(0);
+        const COUNTS_PER_MS: u32 = CLOCK_HZ / 1_000;
+        let more_ms = free_run().wrapping_sub(COUNTED.load(Relaxed)) / COUNTS_PER_MS;
+        COUNTED.fetch_add(more_ms * COUNTS_PER_MS, Relaxed);
+        PASSED_MS.fetch_add(more_ms, Relaxed).wrapping_add(more_ms)
     }
 
     /// Sends a frame; an empty one is not sent.

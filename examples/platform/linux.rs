@@ -7,6 +7,7 @@
 use etherpen_segment::transport::{Endpoint, Transport, open, udp_address};
 use std::fmt::Arguments;
 use std::process::ExitCode;
+use std::sync::LazyLock;
 use std::time::{Duration, Instant};
 
 /// The master's Ethernet address.
@@ -25,6 +26,12 @@ impl Platform {
     pub(crate) fn tick(&mut self) {
         std::thread::sleep((self.ticked + Duration::from_millis(1)).saturating_duration_since(Instant::now()));
         self.ticked = Instant::now();
+    }
+
+    /// The time since the first call, ms, wrapping.
+    pub(crate) fn now_ms() -> u32 {
+        static BEGUN: LazyLock<Instant> = LazyLock::new(Instant::now);
+        BEGUN.elapsed().as_millis() as u32
     }
 
     /// Sends a frame; an empty one is not sent.

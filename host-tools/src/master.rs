@@ -21,7 +21,7 @@ use std::io;
 use std::pin::pin;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, LazyLock, Mutex, PoisonError};
 use std::task::{Context, Waker};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
@@ -34,8 +34,6 @@ pub const REPLY_WAIT: Duration = Duration::from_millis(50);
 const SILENT_WAIT: Duration = Duration::from_millis(1);
 /// Cycles without a reply after which the bus counts as silent.
 const SILENT_CYCLES: u32 = 10;
-/// Most milliseconds that the supervisor catches up at once.
-const CATCH_UP_MS_MAX: u64 = 100;
 
 /// Most slaves on the bus.
 const SLAVES_MAX: usize = 64;
@@ -190,6 +188,12 @@ impl Drop for Master {
     }
 }
 
+/// The time of this program, ms, wrapping.
+fn now_ms() -> u32 {
+    static BEGUN: LazyLock<Instant> = LazyLock::new(Instant::now);
+    BEGUN.elapsed().as_millis() as u32
+}
+
 /// The thread's side.
 struct Worker {
     transport: Box<dyn Transport>,
@@ -205,26 +209,21 @@ impl Worker {
         let mut queues = Box::new(HostQueues::new());
         let (exchange_end, supervisor_end, mut application) = queues.split();
         let mut exchange = Exchange::new(exchange_end, MASTER_ADDRESS);
-        let mut supervisor = Supervisor::new(supervisor_end);
+        let mut supervisor = Supervisor::new(supervisor_end).with_clock(now_ms);
         let mut supervision = pin!(supervisor.run());
         let mut context = Context::from_waker(Waker::noop());
         if let Some(setup) = setup {
             // The queue is empty.
             let _ = application.commands.enqueue(BusCommand::Start(setup));
         }
-        let begun = Instant::now();
-        let (mut polled_ms, mut released) = (0, begun);
+        let mut released = Instant::now();
         while !self.ended.load(Ordering::Relaxed) {
             if let Err(error) = self.cycle(&mut exchange, released + PERIOD) {
                 let _ = self.reporter.send(MasterReport::Lost(error));
                 return;
             }
             released = Instant::now();
-            let now_ms = u64::try_from(begun.elapsed().as_millis()).unwrap_or(u64::MAX);
-            for _ in 0..now_ms.saturating_sub(polled_ms).clamp(1, CATCH_UP_MS_MAX) {
-                let _ = supervision.as_mut().poll(&mut context);
-            }
-            polled_ms = now_ms;
+            let _ = supervision.as_mut().poll(&mut context);
             *self.counters.lock().unwrap_or_else(PoisonError::into_inner) = exchange.counters();
             while let Some(event) = application.events.dequeue() {
                 let _ = self.reporter.send(MasterReport::Event(event));

@@ -1,6 +1,7 @@
 //! A master without drivers on a virtual chain, in virtual time, and what happens to single frames.
 
 use crate::again::clocks_are_on;
+use core::cell::Cell;
 use core::future::Future;
 use core::pin::Pin;
 use core::task::{Context, Waker};
@@ -48,11 +49,32 @@ pub(crate) struct Bench<const SLAVES: usize, const FURTHER: usize, F: SlaveFacto
     cycle_us: u64,
     pub(crate) now_us: u64,
     polled_ms: u64,
+    pace: Pace,
+}
+
+/// When the supervisor is polled, and what its time is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Pace {
+    /// Once a millisecond: the polls are its time.
+    Milliseconds,
+    /// It has a clock, and so many polls follow so many cycles.
+    Cycles { polls: u32, cycles: u64 },
+}
+
+thread_local! {
+    /// The time of the bench in this thread, ms.
+    static NOW_MS: Cell<u32> = const { Cell::new(0) };
 }
 
 impl<const SLAVES: usize, const FURTHER: usize, F: SlaveFactory + 'static> Bench<SLAVES, FURTHER, F> {
     /// Starts a master for this setup; its cycle is the setup's.
-    pub(crate) fn start(options: &SegmentOptions, mut setup: BusSetup<F>) -> Self {
+    pub(crate) fn start(options: &SegmentOptions, setup: BusSetup<F>) -> Self {
+        Self::at_pace(options, setup, Pace::Milliseconds)
+    }
+
+    /// Starts a master whose supervisor is polled in another way.
+    pub(crate) fn at_pace(options: &SegmentOptions, mut setup: BusSetup<F>, pace: Pace) -> Self {
+        NOW_MS.set(0);
         setup.clocks |= clocks_are_on();
         let queues = Box::leak(Box::new(BusQueues::<F, SLAVES, 1024, FURTHER>::new()));
         let (exchange_end, supervisor_end, mut application) = queues.split();
@@ -62,7 +84,11 @@ impl<const SLAVES: usize, const FURTHER: usize, F: SlaveFactory + 'static> Bench
             segment: Segment::new(options, Flywheel::default()),
             exchange: Exchange::new(exchange_end, MAC),
             supervisor: Box::pin(async move {
-                let mut supervisor = Supervisor::new(supervisor_end);
+                let supervisor = Supervisor::new(supervisor_end);
+                let mut supervisor = match pace {
+                    Pace::Milliseconds => supervisor,
+                    Pace::Cycles { .. } => supervisor.with_clock(|| NOW_MS.get()),
+                };
                 supervisor.run().await
             }),
             commands: application.commands,
@@ -74,6 +100,7 @@ impl<const SLAVES: usize, const FURTHER: usize, F: SlaveFactory + 'static> Bench
             cycle_us,
             now_us: 0,
             polled_ms: 0,
+            pace,
         }
     }
 
@@ -118,9 +145,15 @@ impl<const SLAVES: usize, const FURTHER: usize, F: SlaveFactory + 'static> Bench
         self.exchange(true, self.now_us + self.cycle_us / 4);
         self.fates.clear();
         self.now_us += self.cycle_us;
-        // The supervisor counts its polls as milliseconds.
-        while self.polled_ms * 1_000 < self.now_us {
-            self.polled_ms += 1;
+        let now_ms = self.now_us.div_ceil(1_000);
+        NOW_MS.set(now_ms as u32);
+        let polls = match self.pace {
+            Pace::Milliseconds => now_ms - self.polled_ms,
+            Pace::Cycles { polls, cycles } if (self.now_us / self.cycle_us).is_multiple_of(cycles) => polls.into(),
+            Pace::Cycles { .. } => 0,
+        };
+        self.polled_ms = now_ms;
+        for _ in 0..polls {
             let poll = self.supervisor.as_mut().poll(&mut Context::from_waker(Waker::noop()));
             assert!(poll.is_pending());
             while let Some(event) = self.events.dequeue() {

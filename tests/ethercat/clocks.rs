@@ -138,6 +138,7 @@ again! {
         any_cycle_time_from_250_us_to_10_ms_brings_a_chain_up_exchanges_and_repairs_it,
         chosen_process_data_are_assigned_mapped_and_found_where_they_lie,
         what_another_master_left_in_ports_and_aliases_hides_no_slave,
+        a_supervisor_with_a_clock_waits_as_long_however_often_it_is_polled,
         a_chain_that_goes_off_as_a_whole_is_not_reported_in_operation_and_comes_up_unasked;
 }
 

@@ -1,6 +1,6 @@
 //! The master alone: slaves of any kind by their own process data, at cycle times from 0.25 to 10 ms.
 
-use crate::bench;
+use crate::bench::{self, Pace};
 use etherpen::ethercat::configure::{Direction, Entry};
 use etherpen::ethercat::cyclic::ExchangeKind;
 use etherpen::ethercat::error::BusError;
@@ -10,7 +10,7 @@ use etherpen::ethercat::supervisor::BusEvent;
 use etherpen::ethercat::wire::coe::Object;
 use etherpen::ethercat::wire::{Address, Command, FRAME_LEN_MAX, FrameBuilder};
 use etherpen_segment::random::Random;
-use etherpen_segment::{AlState, Fault, PlaceOptions, SegmentOptions, SlaveKind};
+use etherpen_segment::{AlState, Fault, PlaceOptions, SegmentOptions, SlaveKind, SlaveOptions};
 
 /// Cycles until a value has gone through the exchange in either direction.
 const THROUGH: u32 = 3;
@@ -265,6 +265,58 @@ pub(crate) fn what_another_master_left_in_ports_and_aliases_hides_no_slave() {
                 bench.log
             );
             assert_eq!(state.al_state, AlState::Operational, "{what}");
+        }
+    }
+}
+
+/// A slave whose processor starts up for 1.5 s, and one that never reads its request.
+#[test]
+pub(crate) fn a_supervisor_with_a_clock_waits_as_long_however_often_it_is_polled() {
+    let begun = |boot_ms, pace| {
+        let slow = PlaceOptions {
+            processor: SlaveOptions {
+                boot_ms,
+                ..SlaveOptions::default()
+            },
+            ..PlaceOptions::default()
+        };
+        let options = SegmentOptions {
+            slaves: vec![SlaveKind::Ek1100, SlaveKind::El1008, SlaveKind::Cia402],
+            places: vec![PlaceOptions::default(), PlaceOptions::default(), slow],
+            ..SegmentOptions::default()
+        };
+        let setup = BusSetup {
+            terminals: SlaveSet::ALL,
+            cycle_ns: 1_000_000,
+            watchdog_ms: 100,
+            ..BusSetup::default()
+        };
+        Bench::at_pace(&options, setup, pace)
+    };
+    let refused_ms = |pace| {
+        let mut bench = begun(3_600_000, pace);
+        let is_refused = |event: &BusEvent| matches!(event, BusEvent::TerminalRefused { .. });
+        while !bench.log.iter().any(is_refused) {
+            assert!(bench.now_us < 120_000_000, "{:#?}", bench.log);
+            bench.cycle();
+        }
+        bench.now_us / 1_000
+    };
+    let usual_ms = [
+        begun(1_500, Pace::Milliseconds).operational(),
+        refused_ms(Pace::Milliseconds),
+    ];
+    for (polls, cycles) in [(1, 1), (7, 1), (1, 4), (5, 9)] {
+        let pace = Pace::Cycles { polls, cycles };
+        let took_ms = [begun(1_500, pace).operational(), refused_ms(pace)];
+        println!("{pace:?}: {took_ms:?} ms, with polls as milliseconds {usual_ms:?} ms");
+        // The steps of the bring-up itself take longer with fewer polls, its waits do not.
+        for (took_ms, usual_ms) in took_ms.into_iter().zip(usual_ms) {
+            assert!(took_ms > usual_ms * 9 / 10, "{pace:?}: {took_ms} ms");
+            assert!(
+                took_ms < usual_ms + 300 * cycles + usual_ms / 10,
+                "{pace:?}: {took_ms} ms"
+            );
         }
     }
 }

@@ -137,6 +137,8 @@ pub struct AcyclicPort<'a, const MESSAGE: usize> {
     pub(super) registers: Lane<'a, REGISTER_BYTES_MAX>,
     pub(super) messages: Lane<'a, MESSAGE>,
     polls: u32,
+    /// The application's clock, ms.
+    clock: Option<fn() -> u32>,
 }
 
 impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
@@ -146,22 +148,28 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
             registers,
             messages,
             polls: 0,
+            clock: None,
         }
     }
 
-    /// Number of polls so far, wrapping: milliseconds if the slow side is polled once a millisecond.
-    pub const fn now_ms(&self) -> u32 {
-        self.polls
+    /// Takes the time from a clock of the application: milliseconds, wrapping. Without one a poll counts as a millisecond.
+    pub(super) const fn set_clock(&mut self, now_ms: fn() -> u32) {
+        self.clock = Some(now_ms);
     }
 
-    /// Waits for as many polls, which are a millisecond apart.
+    /// Milliseconds of the application's clock, wrapping; without one, the number of polls so far.
+    pub fn now_ms(&self) -> u32 {
+        self.clock.map_or(self.polls, |now_ms| now_ms())
+    }
+
+    /// Waits for so many milliseconds, and as many polls at least: the critical side has run meanwhile.
     pub async fn wait_ms(&mut self, duration_ms: u32) {
-        let mut left = duration_ms;
+        let (begun_ms, mut left) = (self.now_ms(), duration_ms);
         poll_fn(|_| {
-            if left == 0 {
+            if left == 0 && self.now_ms().wrapping_sub(begun_ms) >= duration_ms {
                 return Poll::Ready(());
             }
-            left -= 1;
+            left = left.saturating_sub(1);
             self.pending()
         })
         .await;

@@ -16,8 +16,8 @@ mod fault;
 mod position;
 mod situation;
 
-use crate::again::with_clocks;
 use crate::STILL_RAD_S;
+use crate::again::with_clocks;
 use crate::robot::Robot;
 use etherpen::application::{Fault, Mode, Refusal};
 use etherpen::messages::Command;

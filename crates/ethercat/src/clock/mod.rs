@@ -455,14 +455,14 @@ pub async fn tell_delays<const SLAVES: usize, const MESSAGE: usize>(
         slave.width.is_some() && slave.is_set && presence(position) == Presence::Used
     };
     let answers = |position: usize| presence(position) != Presence::Lost;
-    let before = clocks.distributor(&answers);
+    let before = clocks.distributor(answers);
     run_freely(port, stations, clocks, before).await?;
     // Delays of different measurements have different beginnings.
     let mut there = clocks.slaves.iter().enumerate();
     if clocks.are_due || there.any(|(position, slave)| is_needed(position, slave) && !slave.measured) {
         measure(port, stations, clocks, &presence).await?;
     }
-    let source = clocks.distributor(&answers);
+    let source = clocks.distributor(answers);
     if source != before {
         // The slaves stand in another order. The time of the one before is written to the new one until the plan changes: it
         // begins to run freely behind that.

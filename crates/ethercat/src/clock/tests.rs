@@ -441,7 +441,7 @@ fn a_clock_that_latches_no_times_stops_nobody_if_its_slave_is_not_used() {
         };
         agree(&mut chain);
         // Neither does it stop the repair of another one.
-        let repaired = others().last().unwrap();
+        let repaired = others().next_back().unwrap();
         chain.slaves[repaired].start_ns = 1 << 33;
         clocks.was_off(repaired);
         clocks.chain_changed();

@@ -203,13 +203,21 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         }
     }
 
+    /// Takes the time of all waits, timeouts and pauses, and that of the bus between two readings of the reference clock, from a
+    /// clock: milliseconds, wrapping. Without one, each poll of [`Self::run`] counts as a millisecond.
+    #[must_use]
+    pub fn with_clock(mut self, now_ms: fn() -> u32) -> Self {
+        self.bus.port.set_clock(now_ms);
+        self
+    }
+
     /// Events that the application did not take in time.
     pub const fn events_dropped(&self) -> u32 {
         self.bus.events_dropped
     }
 
-    /// Runs the supervisor and never returns. Poll the future once a millisecond: the polls are its only clock, and each
-    /// counts as one millisecond of every wait and timeout.
+    /// Runs the supervisor and never returns. Poll the future once a millisecond: unless it has a clock ([`Self::with_clock`]),
+    /// each poll counts as one millisecond of every wait and timeout.
     pub async fn run(&mut self) -> ! {
         loop {
             let command = self.inbox.commands.dequeue();
