@@ -53,7 +53,7 @@ impl Platform {
         self.ticked_at = free_run();
     }
 
-    /// The time since the first call, ms, wrapping; to be called every minute at least, before the counter wraps.
+    /// The time, ms, wrapping; to be called every minute at least, before the counter wraps.
     pub(crate) fn now_ms() -> u32 {
         static COUNTED: AtomicU32 = AtomicU32::new(0);
         static PASSED_MS: AtomicU32 = AtomicU32::new(0);

@@ -6,8 +6,8 @@
 //! in a frame. Every request gets exactly one [`Reply`], in the order of its lane, at most one cycle after it was sent;
 //! the reply also reports a lost frame.
 //!
-//! Invariant: a pending future of this module is polled again every millisecond; no waker is ever registered. No clock is
-//! read: time is the number of polls.
+//! Invariant: a pending future of this module is polled again every millisecond or so; no waker is ever registered. Without a
+//! clock of the application, time is the number of polls.
 
 use super::error::BusError;
 use super::wire::{Address, Command};
@@ -162,7 +162,7 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
         self.clock.map_or(self.polls, |now_ms| now_ms())
     }
 
-    /// Waits for so many milliseconds, and as many polls at least: the critical side has run meanwhile.
+    /// Waits for so many milliseconds, and as many polls at least.
     pub async fn wait_ms(&mut self, duration_ms: u32) {
         let (begun_ms, mut left) = (self.now_ms(), duration_ms);
         poll_fn(|_| {

@@ -213,7 +213,7 @@ fn draw(
     let finished = finish(arguments, config, part, &prepared, &job, result.is_ok());
     result.map_err(|failure| EarlyEnd {
         error: failure.into(),
-        begun: job.progress.vertices > 0,
+        begun: job.progress.vertices > 0 || job.progress.strokes > 0 || job.verification.verdict().error().is_some(),
     })?;
     if let Some(position) = part.then_to {
         go_to(&machine, position, operator).map_err(begun)?;

@@ -7,6 +7,7 @@ use super::hub::{Hub, Level, Topic};
 use super::jobs::{Continued, DrawnPart, Unfinished};
 use super::page_text::for_page;
 use super::{Console, lock};
+use crate::error::code;
 use crate::job::error::Phase;
 use crate::job::{JobEvent, JobReport, Motion, Ready};
 use crate::link::text;
@@ -217,8 +218,9 @@ fn end_drawing(console: &Console, result: &Result<(), Failure>, report: &JobRepo
             hub.say_jobs();
             return true;
         }
-        if report.verification.complete_vertices().is_some() {
-            hub.jobs.found_missing(&report.progress);
+        let is_incomplete = result.as_ref().is_err_and(|failure| failure.code == code::INCOMPLETE);
+        if is_incomplete || report.progress.missing_from().is_some() {
+            hub.jobs.found_missing(report.progress.complete);
         }
         let text = match result {
             Ok(()) => "drawn".to_owned(),

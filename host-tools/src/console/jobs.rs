@@ -8,7 +8,7 @@
 
 use super::layers::{Layers, PathLayer, PauseView};
 use super::signals::SignalRow;
-use crate::job::ink::Ink;
+use crate::job::ink::{Ink, InkEnd};
 use crate::job::progress::{PathMeasure, Progress};
 use crate::job::remainder::{OVERLAP_UM, Remainder};
 use etherpen::application::Mode;
@@ -49,6 +49,8 @@ struct QueuedDrawing {
     layers: Layers,
     /// The remainder since the drawing was continued, and the vertices executed before.
     rest: Option<(Remainder, usize)>,
+    /// Where its ink ended when it was continued.
+    ink_before: InkEnd,
     /// Executed vertices of the complete path.
     executed: usize,
     /// Drawing time before the drawing was continued, s.
@@ -64,6 +66,7 @@ impl QueuedDrawing {
             measure: PathMeasure::default(),
             layers: Layers::new(layers),
             rest: None,
+            ink_before: InkEnd::default(),
             executed: 0,
             drawn_before_s: 0.0,
             drawing,
@@ -85,6 +88,7 @@ impl QueuedDrawing {
         let part = self.layers.part(&rest, path.len());
         self.measure = PathMeasure::new(path, config);
         self.rest = Some((rest, self.executed));
+        self.ink_before = self.ink.keep();
         part
     }
 
@@ -412,11 +416,17 @@ impl Jobs {
         })
     }
 
-    /// A part of the active drawing's part was found missing, behind `progress`: what is drawn ends there.
-    pub fn found_missing(&mut self, progress: &Progress) {
+    /// A stroke behind so many vertices of what was sent of the active drawing is not whole: its ink ends before that one.
+    pub fn found_missing(&mut self, complete: usize) {
         if let Some(job) = &mut self.active {
-            job.whole(progress);
-            job.ink.back_to(job.executed);
+            match job
+                .rest
+                .as_ref()
+                .map_or(complete, |(rest, _)| rest.executed(complete, 0))
+            {
+                0 => job.ink.restore(job.ink_before),
+                vertex => job.ink.back_to(vertex),
+            }
         }
     }
 
@@ -512,6 +522,58 @@ mod tests {
             Continued::Path(unfinished) => Some(unfinished.path),
             Continued::Pause => None,
         }
+    }
+
+    #[test]
+    fn a_stroke_that_is_not_whole_is_drawn_again_also_when_the_ink_had_gone_on_behind_it() {
+        let (mut jobs, config) = (Jobs::new(), Config::default());
+        let of_strokes = |count: u32| {
+            let stroke = |stroke: u32| {
+                let mut vertices = two_layers().path[..4].to_vec();
+                for vertex in &mut vertices {
+                    vertex.position_um[0] += 50_000 * stroke as i32;
+                    vertex.stroke = stroke;
+                }
+                vertices
+            };
+            PreparedDrawing {
+                path: (0..count).flat_map(stroke).collect(),
+                strokes: count,
+                ..drawing()
+            }
+        };
+        let draws = |jobs: &mut Jobs, stroke: u32| {
+            let ink = &mut jobs.active.as_mut().unwrap().ink;
+            let x_mm = 50.0 * f64::from(stroke);
+            (0..=200).for_each(|step| ink.draws(stroke, [x_mm + f64::from(step) / 10.0, 0.0, -850.0]));
+            ink.lifted();
+        };
+        let number = jobs.enqueue(of_strokes(5), false).unwrap();
+        assert!(jobs.start(number, &config).is_some());
+        // The pen was beside the third stroke.
+        [0, 1, 3].map(|stroke| draws(&mut jobs, stroke));
+        jobs.found_missing(8);
+        jobs.end(false, "a fault");
+        let whole = of_strokes(5).path;
+        // The end of the stroke before is drawn again too, as the ink ends there.
+        let begins_with = |rest: &[PathVertex], stroke: usize| {
+            rest.ends_with(&whole[4 * stroke..]) && rest.len() <= whole.len() - 4 * stroke + 5
+        };
+        let rest = path(jobs.go_on(number, &config).unwrap()).unwrap();
+        assert!(begins_with(&rest, 2), "{rest:?}");
+        // Beside the fourth one now.
+        [2, 4].map(|stroke| draws(&mut jobs, stroke));
+        let fourth = rest.iter().position(|vertex| vertex.stroke == 3).unwrap();
+        jobs.found_missing(fourth);
+        jobs.end(false, "a fault");
+        let rest = path(jobs.go_on(number, &config).unwrap()).unwrap();
+        assert!(begins_with(&rest, 3), "{rest:?}");
+        // Beside the first of what was sent.
+        draws(&mut jobs, 4);
+        jobs.found_missing(0);
+        jobs.end(false, "a fault");
+        let rest = path(jobs.go_on(number, &config).unwrap()).unwrap();
+        assert!(begins_with(&rest, 3), "{rest:?}");
     }
 
     #[test]

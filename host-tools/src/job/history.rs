@@ -42,6 +42,10 @@ pub struct HistoryEntry {
     pub given_from: u32,
     /// Vertices executed.
     pub executed: u32,
+    /// Vertices before the first stroke of which a part was not followed; absent if none is known. A resumed drawing goes on
+    /// there.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub missing_from: Option<u32>,
     /// Vertices of the path.
     pub vertices: u32,
     /// Strokes started.
@@ -61,7 +65,9 @@ pub struct HistoryEntry {
 impl HistoryEntry {
     /// Takes the progress along the complete path.
     pub fn progress(&mut self, progress: &Progress) {
-        self.executed = u32::try_from(progress.vertices).unwrap_or(u32::MAX);
+        let number = |vertices: usize| u32::try_from(vertices).unwrap_or(u32::MAX);
+        self.executed = number(progress.vertices);
+        self.missing_from = progress.missing_from().map(number);
         self.strokes = progress.strokes;
         self.pen_down_mm = progress.pen_down_mm;
     }

@@ -32,6 +32,13 @@ pub struct Ink {
     moved_mm: f64,
 }
 
+/// Where the ink ended on a path.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct InkEnd {
+    leg: usize,
+    along_mm: f64,
+}
+
 fn at(vertex: &PathVertex) -> Point {
     vertex.position_um.map(|um| f64::from(um) / 1_000.0)
 }
@@ -101,6 +108,20 @@ impl Ink {
     /// Records that the pen is off the paper.
     pub fn lifted(&mut self) {
         (self.last, self.moved_mm) = (None, 0.0);
+    }
+
+    /// Where the ink ends.
+    pub fn keep(&self) -> InkEnd {
+        InkEnd {
+            leg: self.leg,
+            along_mm: self.along_mm,
+        }
+    }
+
+    /// Goes back to where the ink ended.
+    pub fn restore(&mut self, end: InkEnd) {
+        (self.leg, self.along_mm) = (end.leg, end.along_mm);
+        self.lifted();
     }
 
     /// Goes back to the end of the ink before a vertex, the first of a stroke that is not whole.

@@ -111,7 +111,7 @@ pub struct Job {
     /// Verifies the drawing from its telemetry.
     verifier: Option<Verifier>,
     verification: Verification,
-    /// Vertices before the first incomplete stroke, if the drawing ended with incomplete strokes.
+    /// Vertices before the first incomplete stroke, if the path ended with incomplete strokes.
     complete: Option<u32>,
     /// Reads the firmware's measurements once the robot is at rest.
     reader: Option<Reader>,
@@ -254,7 +254,6 @@ impl Job {
         if let Some(verifier) = self.verifier.take() {
             self.verification = verifier.finish_within(LOOKS_AT_LAST);
         }
-        self.missing();
         let progress = self.progress();
         JobReport {
             progress,
@@ -326,11 +325,8 @@ impl Job {
         let progress = self
             .measure
             .progress(self.executed_before, executed, elapsed_ms as f64 / 1000.0);
-        let complete = self.verifier.as_ref().and_then(Verifier::complete_vertices);
-        Progress {
-            complete: complete.map_or(progress.vertices, |complete| progress.vertices.min(complete as usize)),
-            ..progress
-        }
+        let verification = self.verifier.as_ref().map_or(&self.verification, Verifier::so_far);
+        progress.complete_to(verification.complete_vertices())
     }
 
     /// The oldest event not yet taken.

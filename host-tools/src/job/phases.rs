@@ -421,15 +421,9 @@ impl Job {
     /// The parts of the ended drawing that were not drawn according to the telemetry, as an error.
     fn verify(&mut self) -> Option<JobError> {
         self.verification = self.verifier.take()?.finish(true);
-        self.missing()
-    }
-
-    /// The verified strokes of which a part is missing, as an error: what is before them counts as drawn, however the drawing
-    /// has ended.
-    pub(super) fn missing(&mut self) -> Option<JobError> {
         let verdict = self.verification.verdict();
         let error = verdict.error()?;
-        self.complete = Some(verdict.complete_vertices.min(self.ack.executed));
+        self.complete = Some(verdict.complete_vertices);
         Some(error)
     }
 

@@ -17,7 +17,7 @@ const CALIBRATED_FROM: f64 = 0.02;
 pub struct Progress {
     /// Vertices executed.
     pub vertices: usize,
-    /// Vertices before the first stroke of which a part was found missing; [`Self::vertices`] while none was.
+    /// Vertices before the first stroke of which a part was found missing; [`Self::vertices`] if none was.
     #[serde(default)]
     pub complete: usize,
     /// Vertices of the path.
@@ -36,6 +36,23 @@ pub struct Progress {
     pub elapsed_s: f64,
     /// Estimated remaining time, s.
     pub left_s: f64,
+}
+
+impl Progress {
+    /// The progress if what is behind so many vertices is not known to be whole.
+    #[must_use]
+    pub fn complete_to(self, vertices: Option<usize>) -> Self {
+        Self {
+            complete: vertices.map_or(self.complete, |vertices| vertices.min(self.complete)),
+            ..self
+        }
+    }
+
+    /// Vertices before the first stroke of which a part was found missing; `None` if none was.
+    #[must_use]
+    pub fn missing_from(&self) -> Option<usize> {
+        (self.complete < self.vertices).then_some(self.complete)
+    }
 }
 
 /// Lengths and times along a path, computed once.

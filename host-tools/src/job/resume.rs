@@ -301,6 +301,15 @@ fn from_firmware(
 ) -> Result<ResumePlan, ProgramError> {
     check_config(&record, config)?;
     let entry = &record.entry;
+    if let Some(missing_from) = entry.missing_from {
+        let stroke = path.get(missing_from as usize).map_or(0, |vertex| vertex.stroke);
+        let text = format!(
+            "stroke {} of this drawing was not followed to its end; end what the firmware still holds (etherpen cancel), \
+             then --resume goes on with that stroke",
+            stroke.saturating_add(1)
+        );
+        return Err(ProgramError::new(code::FAILED, text));
+    }
     let rest = || (rest_after(entry.given_from, config, path), entry.given_from as usize);
     let given = (entry.given_from > 0).then(rest);
     let vertices = given
@@ -326,7 +335,10 @@ fn from_firmware(
 
 /// Resumes from the last corner recorded in the log.
 fn from_log(mut record: Record, config: &Config, path: &[PathVertex]) -> Result<ResumePlan, ProgramError> {
-    let executed = record.entry.executed;
+    let missing_from = record.entry.missing_from.take();
+    let executed = missing_from.map_or(record.entry.executed, |vertices| vertices.min(record.entry.executed));
+    // An attempt that ends before it draws leaves the log so.
+    record.entry.executed = executed;
     let remainder = rest_after(executed, config, path);
     let Some(next) = remainder.vertices.first() else {
         record.entry.completed = true;
@@ -518,6 +530,36 @@ mod tests {
         );
         assert!(of(&[("red", 9, true), ("blue", 4, true)]).is_err_and(|why| why.contains("to its end")));
         assert!(of(&[("other", 9, true)]).is_err_and(|why| why.contains("without --resume")));
+    }
+
+    #[test]
+    fn a_stroke_that_was_not_followed_is_drawn_again_and_never_passed_by_with_what_the_firmware_holds() {
+        let (path, config) = (crate::link::rig::path(100), Config::default());
+        let mut record = log(&[(8, false)]).remove(0);
+        (record.entry.executed, record.entry.vertices) = (80, 100);
+        record.entry.config_hash = config_hash(&config);
+        let machine = |mode| MachineState {
+            status: Some(crate::console::status::tests::status(mode, None)),
+            path: Some(PathAck {
+                job: 1,
+                executed: 85,
+                ..PathAck::default()
+            }),
+            ..MachineState::default()
+        };
+        let held = plan(vec![record.clone()], &machine(Mode::Holding), &config, &path).unwrap();
+        assert!(held.drawing.held);
+        record.entry.missing_from = Some(30);
+        let refused = plan(vec![record.clone()], &machine(Mode::Holding), &config, &path);
+        let refused = refused.err().expect("stroke is missing");
+        assert!(refused.message.contains("etherpen cancel"), "{}", refused.message);
+        let again = plan(vec![record.clone()], &machine(Mode::DrivesOff), &config, &path).unwrap();
+        let entry = again.record.as_ref().map(|record| &record.entry).unwrap();
+        assert_eq!((entry.given_from, entry.executed, entry.missing_from), (30, 30, None));
+        record.entry.missing_from = None;
+        let rest = plan(vec![record], &machine(Mode::DrivesOff), &config, &path).unwrap();
+        assert!(again.drawing.vertices.len() > rest.drawing.vertices.len() + 45);
+        assert_eq!((again.executed(0), rest.executed(0)), (30, 80));
     }
 
     #[test]

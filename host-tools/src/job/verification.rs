@@ -179,10 +179,10 @@ impl Verifier {
         self.matching.is_some() || !self.pieces.is_empty()
     }
 
-    /// Vertices before the first stroke of which a part was found missing so far.
+    /// What has been verified so far.
     #[must_use]
-    pub fn complete_vertices(&self) -> Option<u32> {
-        self.result.complete_vertices()
+    pub const fn so_far(&self) -> &Verification {
+        &self.result
     }
 
     /// Looks at a leg so far: the measure of the work done.

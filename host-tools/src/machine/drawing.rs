@@ -116,9 +116,9 @@ impl<'a> DrawingRun<'a> {
                 Some(DrawingNews::Event(JobEvent::Connected(welcome)))
             }
             News::Progress(progress) => {
-                // Should this program be killed, the log has to know what is missing.
-                self.log(&self.whole(&progress, progress.complete));
-                Some(DrawingNews::Progress(self.whole(&progress, progress.vertices)))
+                let whole = self.whole(&progress);
+                self.log(&whole);
+                Some(DrawingNews::Progress(whole))
             }
             News::Status(status) if self.lost && status.mode == Mode::Holding => {
                 self.lost = false;
@@ -174,17 +174,22 @@ impl<'a> DrawingRun<'a> {
         drop(self.machine.order(order));
     }
 
-    /// Progress along the complete path with `executed` vertices of the part sent to the firmware.
-    fn whole(&self, progress: &Progress, executed: usize) -> Progress {
-        let executed = self.plan.executed(executed);
+    /// Progress along the complete path, from the progress of the part sent to the firmware.
+    fn whole(&self, progress: &Progress) -> Progress {
+        let executed = self.plan.executed(progress.vertices);
         let before = self.plan.executed(0);
         let number = |vertices: usize| u32::try_from(vertices).unwrap_or(u32::MAX);
-        Progress {
+        let whole = Progress {
             left_s: progress.left_s,
             ..self
                 .measure
                 .progress(number(before), number(executed), progress.elapsed_s)
-        }
+        };
+        whole.complete_to(
+            progress
+                .missing_from()
+                .map(|missing_from| self.plan.executed(missing_from)),
+        )
     }
 
     fn log(&mut self, progress: &Progress) {
@@ -203,8 +208,7 @@ impl<'a> DrawingRun<'a> {
     /// # Errors
     /// The log cannot be written.
     pub fn log_end(&mut self, end: &DrawingEnd) -> io::Result<()> {
-        let progress = &end.report.progress;
-        let whole = self.whole(progress, progress.vertices);
+        let whole = self.whole(&end.report.progress);
         let Some(record) = &mut self.plan.record else {
             return Ok(());
         };

@@ -412,9 +412,11 @@ fn a_connection_that_hears_nothing_of_a_drawing_takes_nothing_from_what_is_execu
 fn a_part_that_any_connection_found_missing_is_drawn_again_from_there_however_the_drawing_ended() {
     let (path, config) = (path(100), Config::default());
     let measure = PathMeasure::new(&path, &config);
-    let of = |vertices, verification| JobReport {
+    let of = |vertices, verification: Verification| JobReport {
+        progress: measure
+            .progress(0, vertices, 1.0)
+            .complete_to(verification.complete_vertices()),
         verification,
-        progress: measure.progress(0, vertices, 1.0),
         drawn_s: 1.0,
         ..JobReport::default()
     };
@@ -427,7 +429,7 @@ fn a_part_that_any_connection_found_missing_is_drawn_again_from_there_however_th
                 code::INCOMPLETE,
             ),
             (Err(Failure::new(code::FAULT, "the machine stopped")), code::FAULT),
-            (Err(Failure::new(code::FAILED, "cancelled")), code::FAILED),
+            (Err(Failure::new(code::INTERRUPTED, "cancelled")), code::INTERRUPTED),
         ]
     };
     // The strokes that the connections saw, and those that they found missing.
@@ -444,12 +446,20 @@ fn a_part_that_any_connection_found_missing_is_drawn_again_from_there_however_th
             let mut report = work::merged(Some(of(50, first.clone())), of(100, last.clone()));
             let judged = work::judged(result.clone(), &mut report, &path, &config);
             let Some(complete) = complete else {
-                assert_eq!((judged, report.progress.vertices), (result, 100));
+                assert_eq!((judged, report.progress.missing_from()), (result, None));
                 continue;
             };
             let failure = judged.expect_err("a stroke is missing");
             assert_eq!(failure.code, found_code, "{failure}");
-            assert_eq!(report.progress, measure.progress(0, complete, 2.0), "{failure}");
+            match found_code {
+                // It counts as drawn up to there.
+                code::INCOMPLETE => assert_eq!(report.progress, measure.progress(0, complete, 2.0), "{failure}"),
+                _ => assert_eq!(
+                    (report.progress.vertices, report.progress.missing_from()),
+                    (100, Some(complete as usize)),
+                    "{failure}"
+                ),
+            }
             let names_the_stroke = failure.text.contains(&format!("stroke {}", complete / 10 + 1));
             assert!(names_the_stroke || found_code != code::INCOMPLETE, "{failure}");
         }

@@ -482,7 +482,12 @@ impl Work {
         self.shown_ms = now_ms;
         let phase = (!over).then(|| job.phase().to_string());
         let path = job.held_path().copied();
-        let progress = (drawing && matches!(job.task(), Task::Draw(_))).then(|| job.progress());
+        // What an earlier connection found missing stays so.
+        let underway = self.active.as_ref().and_then(|active| active.drawing.as_ref());
+        let before = underway.and_then(|underway| underway.before.as_ref());
+        let missing_from = before.and_then(|before| before.progress.missing_from());
+        let progress =
+            (drawing && matches!(job.task(), Task::Draw(_))).then(|| job.progress().complete_to(missing_from));
         self.shared.change(|snapshot| {
             snapshot.phase = phase;
             snapshot.path = path;
@@ -538,25 +543,26 @@ fn finish(
 }
 
 /// The result of a drawing of `path` by what all its connections found: parts that an earlier one found missing were not drawn
-/// by a later one. However the drawing has ended, what is before the first stroke that is not whole counts as drawn.
+/// by a later one. A path that has ended counts as drawn up to the first stroke that is not whole.
 pub(super) fn judged(
     result: Result<(), Failure>,
     report: &mut JobReport,
     path: &[PathVertex],
     config: &Config,
 ) -> Result<(), Failure> {
+    let is_incomplete = |failure: &Failure| failure.code == code::INCOMPLETE;
     let verdict = report.verification.verdict();
-    let Some(error) = verdict.error() else {
+    let Some(error) = verdict
+        .error()
+        .filter(|_| result.as_ref().err().is_none_or(is_incomplete))
+    else {
         return result;
     };
     if (verdict.complete_vertices as usize) < report.progress.vertices {
         let elapsed_s = report.progress.elapsed_s;
         report.progress = PathMeasure::new(path, config).progress(0, verdict.complete_vertices, elapsed_s);
     }
-    match result {
-        Err(failure) if failure.code != code::INCOMPLETE => Err(failure),
-        _ => Err(Failure::from(&error)),
-    }
+    Err(Failure::from(&error))
 }
 
 /// Merges the reports of a drawing that spanned several connections.
@@ -571,6 +577,7 @@ pub(super) fn merged(before: Option<JobReport>, last: JobReport) -> JobReport {
     progress.elapsed_s = before.drawn_s + last.drawn_s;
     let mut verification = before.verification;
     verification.merge(&last.verification);
+    progress = progress.complete_to(verification.complete_vertices());
     JobReport {
         progress,
         verification,

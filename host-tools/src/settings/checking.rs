@@ -407,7 +407,7 @@ impl Checks<'_> {
                 line: self.places.of_io(io),
                 text: format!(
                     "the value of {} is not in telemetry and recordings each millisecond, only in the status: there is room \
-                     for the first {SAMPLE_WORDS_MAX} words of [[io]] with {SAMPLE_WORD_BYTES_MAX} bytes together; write \
+                     for the first {SAMPLE_WORDS_MAX} words of [[io]] that fit {SAMPLE_WORD_BYTES_MAX} bytes together; write \
                      those that matter first",
                     point.name
                 ),

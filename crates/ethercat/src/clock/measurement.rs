@@ -53,6 +53,10 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
     }
     let is_junction = |slave: &SlaveClock| slave.ports.has_clock && slave.ports.open.count_ones() > 2;
     let has_junction = clocks.slaves.iter().any(|slave| slave.measured && is_junction(slave));
+    // What was not measured may be a junction.
+    let mut ordered = clocks.slaves.iter().enumerate().take(clocks.ordered.into());
+    let has_unknown = ordered.any(|(position, slave)| presence(position) == Presence::Unused && !slave.measured);
+    let has_junction = has_junction || has_unknown;
     let chain = match has_junction || clocks.are_moved {
         true => look_through(port, stations, clocks).await,
         false => Ok(Some(expected_chain(clocks))),
@@ -77,7 +81,7 @@ pub async fn measure<const SLAVES: usize, const MESSAGE: usize>(
 
 /// Makes all slaves latch the times of one frame, and reads them. If only slaves without a clock have not latched them at the
 /// last try, they count as parts of their cables from then on: their features promise more than they do. One with a clock that
-/// nobody uses is not measured.
+/// nobody uses is not measured, and no longer counts as one with the time of the bus.
 async fn latch<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
@@ -109,7 +113,10 @@ async fn latch<const SLAVES: usize, const MESSAGE: usize>(
         let is_short = apart_max_ns == 0 || slave.ports.span_ns() < apart_max_ns;
         match slave.ports.is_later_than(&before) && is_short {
             false if slave.width.is_none() && is_last => idle |= SlaveSet::of(position),
-            false if presence(position) == Presence::Unused && is_last => slave.measured = false,
+            // Another slave distributes its time then.
+            false if presence(position) == Presence::Unused && is_last => {
+                (slave.measured, slave.is_set) = (false, false);
+            }
             has_latched => {
                 is_whole &= has_latched;
                 expected += 1;

@@ -396,7 +396,8 @@ async fn set_all<const SLAVES: usize, const MESSAGE: usize>(
 
 /// Sets the clock of a slave that was switched off or cut off to the time of the bus. The other slaves keep their time,
 /// even if this slave is the reference. If no other clock has the time of the bus, this one continues it. What slaves that are
-/// lost say on their return is not the time of the bus.
+/// lost say on their return is not the time of the bus; the slave itself must not be one of them. If nobody uses it and it cannot
+/// be measured, it is left as it is.
 ///
 /// # Errors
 /// As [`AcyclicPort::send_until_counted`].
@@ -407,11 +408,6 @@ pub async fn restore<const SLAVES: usize, const MESSAGE: usize>(
     position: usize,
     presence: impl Fn(usize) -> Presence,
 ) -> Result<(), BusError> {
-    // It is the one that is needed.
-    let presence = |other: usize| match other == position {
-        true => Presence::Used,
-        false => presence(other),
-    };
     let Some(station) = stations.get(position).filter(|_| clocks.has_clock(position)) else {
         return Ok(());
     };
@@ -419,6 +415,10 @@ pub async fn restore<const SLAVES: usize, const MESSAGE: usize>(
     restart_loop(port, *station).await?;
     clocks.are_moved = true;
     measure(port, stations, clocks, &presence).await?;
+    let is_measured = clocks.slaves.get(position).is_some_and(|slave| slave.measured);
+    if !is_measured && presence(position) == Presence::Unused {
+        return Ok(());
+    }
     let source = clocks.source_for(position);
     if source.is_none() && clocks.is_set(position) {
         return Ok(());

@@ -164,6 +164,9 @@ impl Chain {
         for (model, (status, hops)) in self.slaves.iter_mut().zip(PASSES) {
             model.delay_ns = hops[0] * HOP_NS;
             model.put(register::DL_STATUS, &status.to_le_bytes());
+            if model.is_frozen {
+                continue;
+            }
             for (port, hops) in (0..).zip(hops) {
                 let time_ns = model.local_ns(self.true_ns + hops * HOP_NS) as u32;
                 model.put(register::DC_RECEIVE_TIME + 4 * port, &time_ns.to_le_bytes());
@@ -408,9 +411,9 @@ fn a_first_clock_that_cannot_be_set_leaves_the_next_one_as_the_reference() {
 
 #[test]
 fn a_clock_that_latches_no_times_stops_nobody_if_its_slave_is_not_used() {
-    for frozen in 0..4 {
+    for (frozen, is_junction) in [(0, false), (1, false), (2, false), (3, false), (0, true), (2, true)] {
         let mut chain = Chain::new([(WIDE, 9_000, 0), (WIDE, 1 << 40, 0), (WIDE, 77, 0), (WIDE, 50, 0)]);
-        chain.slaves[frozen].is_frozen = true;
+        (chain.slaves[frozen].is_frozen, chain.is_junction) = (true, is_junction);
         let others = || (0..4).filter(|place| *place != frozen);
         let first = others().next().unwrap();
         let refused = chain.run(async |mut port: AcyclicPort<'static, 64>| {
@@ -434,8 +437,10 @@ fn a_clock_that_latches_no_times_stops_nobody_if_its_slave_is_not_used() {
                 .iter()
                 .map(|slave| slave.system_ns(chain.true_ns))
                 .collect();
+            // What leads from one branch to the other through a junction without times is not measured.
+            let most_ns = if is_junction && frozen == 0 { 2 * HOP_NS } else { 0 };
             assert!(
-                others().all(|place| times_ns[place] == times_ns[first]),
+                others().all(|place| times_ns[place].abs_diff(times_ns[first]) <= most_ns),
                 "{frozen} is frozen: {times_ns:?}"
             );
         };

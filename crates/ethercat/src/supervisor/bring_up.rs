@@ -129,7 +129,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let stations = self.stations();
         self.time_number = self.time_number.wrapping_add(1);
         let Self { port, slaves, .. } = self;
-        let is_used = |place: usize| slaves.get(place).is_some_and(Slave::is_used);
+        let is_used = |place: usize| slaves.get(place).is_some_and(|slave| slave.member.is_some());
         self.clocks = clock::set_up(port, &stations, self.setup.cycle_ns, self.time_number, is_used)
             .await
             .map_err(Failure::bus(Step::Clocks))?;
@@ -499,8 +499,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let at = |step| Failure::of(slave.position, step);
         let result = self.await_inputs(&slave).await;
         result.map_err(at(Step::CyclicData))?;
-        // The clock that is distributed is compared with none.
-        if self.clocks.has_clock(usize::from(slave.position)) && self.distributor() != Some(number) {
+        // The clock that is distributed is compared with none, and that of a terminal which could not be set follows no time.
+        let is_set = slave.member.is_some() || self.clocks.is_set(usize::from(slave.position));
+        if is_set && self.clocks.has_clock(usize::from(slave.position)) && self.distributor() != Some(number) {
             let result = clock::await_agreement(&mut self.port, slave.station(), self.setup.settling).await;
             result.map_err(at(Step::Clocks))?;
         }

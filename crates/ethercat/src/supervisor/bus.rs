@@ -365,11 +365,11 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         self.slaves.iter().map(is_there).collect()
     }
 
-    /// What a measurement may expect of each slave.
+    /// What a measurement may expect of each slave: only members need their clocks.
     fn presences(&self) -> Vec<Presence, SLAVES> {
         let presence = |slave: &Slave<F>| match slave.condition {
             Condition::Lost => Presence::Lost,
-            _ if slave.is_used() => Presence::Used,
+            _ if slave.member.is_some() => Presence::Used,
             _ => Presence::Unused,
         };
         self.slaves.iter().map(presence).collect()
@@ -427,7 +427,12 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         self.clocks.hold(true);
         self.send_plan().await;
         self.port.wait_ms(PLAN_MS).await;
-        let (stations, presences) = (self.stations(), self.presences());
+        let (stations, mut presences) = (self.stations(), self.presences());
+        let is_member = self.slaves.get(number).is_some_and(|slave| slave.member.is_some());
+        if let Some(presence) = presences.get_mut(number) {
+            // It answers, even if it is still marked as lost.
+            *presence = if is_member { Presence::Used } else { Presence::Unused };
+        }
         let presence = |position: usize| presences.get(position).copied().unwrap_or(Presence::Lost);
         let restored = clock::restore(&mut self.port, &stations, &mut self.clocks, number, presence).await;
         if let Some(slave) = self

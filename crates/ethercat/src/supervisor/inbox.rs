@@ -24,6 +24,8 @@ pub(super) const SUSPICION_MS: u32 = 3;
 /// How long the bus has to look wrong before the slaves are queried while work is in progress, ms. The work itself may
 /// disturb the bus briefly.
 pub(super) const WORK_SUSPICION_MS: u32 = 20;
+/// Most milliseconds that one look counts for.
+const LOOK_MAX_MS: u32 = 5;
 
 /// State and error flag of an AL status register.
 pub(super) const STATUS_MASK: u16 = register::AL_STATE_MASK | register::AL_ERROR_BIT;
@@ -91,6 +93,9 @@ pub(super) struct Inbox<'a, F: SlaveFactory> {
     pub(super) answers: Producer<'a, ServiceResult>,
     pub(super) seen: Option<Observation>,
     pub(super) suspicion_ms: u32,
+    /// The application's clock, ms, and its time at the last look; without one a look counts as a millisecond.
+    pub(super) clock: Option<fn() -> u32>,
+    pub(super) looked_ms: u32,
     /// State of the Ethernet port.
     pub(super) port: PortState,
 }
@@ -102,11 +107,19 @@ impl<F: SlaveFactory> Inbox<'_, F> {
             self.seen = Some(observation);
         }
         self.clear_the_way();
+        let passed_ms = self.passed_ms();
         self.suspicion_ms = if self.seen.is_some_and(|seen| expected.differs(&seen)) {
-            self.suspicion_ms.saturating_add(1)
+            self.suspicion_ms.saturating_add(passed_ms)
         } else {
             0
         };
+    }
+
+    /// Time since the last look, ms; one look alone is little proof, however long ago the one before was.
+    fn passed_ms(&mut self) -> u32 {
+        let Some(now_ms) = self.clock else { return 1 };
+        let before_ms = core::mem::replace(&mut self.looked_ms, now_ms());
+        self.looked_ms.wrapping_sub(before_ms).min(LOOK_MAX_MS)
     }
 
     /// Takes changes of the port, so that no other command waits behind them, and lets a start overtake a repair.

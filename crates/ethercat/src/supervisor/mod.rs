@@ -185,6 +185,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 answers,
                 seen: None,
                 suspicion_ms: 0,
+                clock: None,
+                looked_ms: 0,
                 port: PortState::Unknown,
             },
             port_missed: false,
@@ -208,6 +210,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
     #[must_use]
     pub fn with_clock(mut self, now_ms: fn() -> u32) -> Self {
         self.bus.port.set_clock(now_ms);
+        self.inbox.clock = Some(now_ms);
         self
     }
 

@@ -7,8 +7,14 @@
 pub(super) struct Parts(Vec<[f64; 2]>);
 
 impl Parts {
-    pub(super) const fn is_empty(&self) -> bool {
-        self.0.is_empty()
+    /// The parts, in order.
+    pub(super) fn iter(&self) -> impl Iterator<Item = [f64; 2]> {
+        self.0.iter().copied()
+    }
+
+    /// Where the last part ends, mm; 0 without parts.
+    pub(super) fn end_mm(&self) -> f64 {
+        self.0.last().map_or(0.0, |part| part[1])
     }
 
     pub(super) fn add(&mut self, from_mm: f64, to_mm: f64) {

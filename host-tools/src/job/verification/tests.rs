@@ -358,3 +358,71 @@ fn samples_that_are_left_out_are_not_verified_and_never_missing() {
         );
     }
 }
+
+#[test]
+fn the_end_of_a_stop_beside_the_path_is_no_missing_part_and_all_before_it_is() {
+    let seen = |followed: &[[f64; 2]], off: &[[f64; 2]]| {
+        let mut verification = Verification::of_strokes(0..0, None);
+        followed
+            .iter()
+            .for_each(|part| verification.followed.add(part[0], part[1]));
+        off.iter().for_each(|part| verification.off.add(part[0], part[1]));
+        verification.complete_vertices()
+    };
+    assert_eq!(seen(&[[0.0, 100.0]], &[]), None);
+    assert_eq!(seen(&[[0.0, 47.0]], &[[47.0, 49.0]]), None, "a stop");
+    assert_eq!(seen(&[[0.0, 42.0]], &[[42.0, 49.0]]), Some(40), "too much for a stop");
+    assert_eq!(
+        seen(&[[0.0, 32.0], [34.0, 49.0]], &[[32.0, 34.0]]),
+        Some(30),
+        "the pen went on"
+    );
+    assert_eq!(
+        seen(&[[0.0, 32.0], [34.0, 47.0]], &[[32.0, 34.0], [47.0, 49.0]]),
+        Some(30)
+    );
+    assert_eq!(seen(&[[0.0, 32.0], [32.3, 47.0]], &[[32.0, 32.3]]), None, "a dot");
+    assert_eq!(
+        seen(&[[0.0, 49.0]], &[[32.0, 34.0]]),
+        None,
+        "drawn by another connection"
+    );
+    assert_eq!(seen(&[[40.0, 49.0]], &[[0.0, 40.0]]), Some(0));
+    // Two dots in one stroke, and two in two strokes.
+    assert_eq!(
+        seen(
+            &[[0.0, 31.0], [31.3, 32.0], [32.3, 49.0]],
+            &[[31.0, 31.3], [32.0, 32.3]]
+        ),
+        Some(30)
+    );
+    assert_eq!(
+        seen(
+            &[[0.0, 29.0], [29.3, 32.0], [32.3, 49.0]],
+            &[[29.0, 29.3], [32.0, 32.3]]
+        ),
+        None
+    );
+}
+
+#[test]
+fn a_drawing_that_has_ended_lacks_what_its_verdict_says() {
+    let mut random = crate::random::Lcg::new(5);
+    for _ in 0..2_000 {
+        let mut verification = Verification::of_strokes(0..10, None);
+        verification.followed = Default::default();
+        for _ in 0..random.below(12) {
+            let from_mm = random.below(1_000) as f64 / 10.0;
+            let to_mm = (from_mm + random.below(120) as f64 / 10.0).min(99.0);
+            match random.below(2) {
+                0 => verification.followed.add(from_mm, to_mm),
+                _ => verification.off.add(from_mm, to_mm),
+            }
+        }
+        // The pen has come to the end.
+        verification.followed.add(99.0, 100.0);
+        let verdict = verification.verdict();
+        let complete = verdict.error().map(|_| verdict.complete_vertices as usize);
+        assert_eq!(verification.complete_vertices(), complete, "{verification:?}");
+    }
+}

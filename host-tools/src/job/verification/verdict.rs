@@ -5,6 +5,8 @@ use crate::job::error::JobError;
 
 /// Least total length of a stroke's missing parts that counts, mm: less is a dot at its ends.
 const MISSING_MIN_MM: f64 = 0.5;
+/// Most of a stroke, mm, that a stop which left its path makes missing at its end.
+const TAIL_MAX_MM: f64 = 5.0;
 /// Length below which a difference counts as rounding, mm.
 const ROUNDING_MM: f64 = 1e-6;
 
@@ -20,6 +22,13 @@ pub(super) struct VerifiedStroke {
     pub(super) length_mm: f64,
     /// Its length in the path divided by `length_mm`.
     pub(super) scale: f64,
+}
+
+impl VerifiedStroke {
+    /// Whether so much of it is more than a dot at its ends.
+    fn lacks(&self, missing_mm: f64) -> bool {
+        missing_mm > 0.0 && missing_mm >= MISSING_MIN_MM.min(0.5 * self.length_mm)
+    }
 }
 
 /// Result of verifying the telemetry of a drawing; results of several connections can be merged.
@@ -72,14 +81,34 @@ impl Verification {
         self.off.extend(&other.off);
     }
 
-    /// Vertices before the first stroke of which a part is missing.
+    /// Vertices before the first stroke of which a part is missing. The last [`TAIL_MAX_MM`] before the place where the telemetry
+    /// ends do not count: there a stop that left the path has made them so, and the executed vertices tell how far it came. Looks
+    /// at the parts where the pen was elsewhere only.
     #[must_use]
-    pub fn complete_vertices(&self) -> Option<u32> {
-        if self.off.is_empty() {
-            return None;
+    pub fn complete_vertices(&self) -> Option<usize> {
+        let reached_mm = self.followed.end_mm().max(self.off.end_mm());
+        let (mut stroke_at, mut missing_mm) = (usize::MAX, 0.0);
+        for [from_mm, to_mm] in self.off.iter() {
+            if to_mm >= reached_mm && to_mm - from_mm <= TAIL_MAX_MM {
+                continue;
+            }
+            let first = self
+                .strokes
+                .partition_point(|stroke| stroke.begin_mm + stroke.length_mm <= from_mm);
+            let touched = self.strokes.iter().enumerate().skip(first);
+            for (at, stroke) in touched.take_while(|(_, stroke)| stroke.begin_mm < to_mm) {
+                if at != stroke_at {
+                    (stroke_at, missing_mm) = (at, 0.0);
+                }
+                let begin_mm = from_mm.max(stroke.begin_mm);
+                let end_mm = to_mm.min(stroke.begin_mm + stroke.length_mm);
+                missing_mm += end_mm - begin_mm - self.followed.length_between(begin_mm, end_mm);
+                if stroke.lacks(missing_mm) {
+                    return Some(stroke.vertex as usize);
+                }
+            }
         }
-        let verdict = self.verdict();
-        verdict.strokes.first().map(|_| verdict.complete_vertices)
+        None
     }
 
     /// The verdict.
@@ -97,7 +126,7 @@ impl Verification {
             verdict.total_mm += stroke.scale * stroke.length_mm;
             verdict.followed_mm += stroke.scale * followed_mm;
             verdict.unverified_mm += stroke.scale * (stroke.length_mm - seen_mm).max(0.0);
-            if missing_mm < MISSING_MIN_MM.min(0.5 * stroke.length_mm) || missing_mm == 0.0 {
+            if !stroke.lacks(missing_mm) {
                 continue;
             }
             verdict.missing_mm += stroke.scale * missing_mm;
