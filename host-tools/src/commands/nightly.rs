@@ -6,8 +6,10 @@ use crate::terminal::in_colour;
 use std::process::Command;
 use std::time::Instant;
 
-/// Robot time of each profile of the campaign, hours.
-const CAMPAIGN_HOURS: &str = "4";
+/// Robot time of each profile of the campaign on each machine, hours.
+const CAMPAIGN_HOURS: &str = "0.8";
+/// The machines of the campaign.
+const MACHINES: [&str; 5] = ["irb340", "gantry", "corexy", "scara", "linear-delta"];
 /// Robot time of each profile against the emulated board's image, hours.
 const EMULATED_HOURS: &str = "1";
 /// First seed and the one behind the last; an episode takes some seconds of robot time.
@@ -80,12 +82,15 @@ fn steps() -> Vec<Step> {
         "bench-ethercat",
         "run --release --bin etherpen -- bench ethercat --check",
     ));
-    steps.extend(PROFILES.map(|profile| {
+    let runs = PROFILES
+        .iter()
+        .flat_map(|profile| MACHINES.map(|machine| (profile, machine)));
+    steps.extend(runs.map(|(profile, machine)| {
         let arguments = format!(
-            "run --release --bin etherpen -- campaign --profile {profile} --seeds {CAMPAIGN_SEEDS} --hours {CAMPAIGN_HOURS} \
-             --cases target/campaign/{profile}"
+            "run --release --bin etherpen -- campaign --machine {machine} --profile {profile} --seeds {CAMPAIGN_SEEDS} \
+             --hours {CAMPAIGN_HOURS} --cases target/campaign/{profile}-{machine}"
         );
-        Step::new(&format!("campaign-{profile}"), &arguments)
+        Step::new(&format!("campaign-{profile}-{machine}"), &arguments)
     }));
     steps.extend(PROFILES.map(|profile| {
         let arguments = format!(
@@ -98,11 +103,18 @@ fn steps() -> Vec<Step> {
         "soak",
         "test --release -p host-tools --lib a_day_of_portraits -- --ignored --nocapture",
     ));
+    steps.push(Step::new(
+        "seeds-of-fuzzing",
+        "run -p etherpen-fuzzing -- seeds target/seeds",
+    ));
     steps.extend(targets().iter().map(|target| {
-        let arguments = format!(
-            "+nightly fuzz run {target} target/found/{target} fuzz/corpus/{target} -- -max_total_time={FUZZ_S} -timeout=10 \
-             -rss_limit_mb=1024"
+        let mut arguments = format!(
+            "+nightly fuzz run {target} target/found/{target} fuzz/corpus/{target} target/seeds/{target} -- \
+             -max_total_time={FUZZ_S} -timeout=10 -rss_limit_mb=1024"
         );
+        if let Some(dictionary) = dictionary(target) {
+            arguments += &format!(" -dict={dictionary}");
+        }
         Step::new(&format!("fuzz-{target}"), &arguments)
     }));
     steps.push(Step::new(
@@ -124,6 +136,13 @@ fn targets() -> Vec<String> {
     let mut targets: Vec<String> = names.filter_map(|entry| entry.file_name().into_string().ok()).collect();
     targets.sort();
     targets
+}
+
+/// The dictionary of a fuzz target, if it has one.
+fn dictionary(target: &str) -> Option<String> {
+    let path = format!("fuzz/dictionaries/{target}.dict");
+    let sources = setup::ensure_sources().ok()?;
+    sources.join(&path).is_file().then_some(path)
 }
 
 /// Runs all steps, or those whose names begin with a word; a step that fails does not keep the others from running.
@@ -191,6 +210,8 @@ mod tests {
         names.sort_unstable();
         names.dedup();
         assert_eq!(names.len(), count);
+        let with_dictionary = |step: &&Step| step.arguments.iter().any(|word| word.starts_with("-dict="));
+        assert_eq!(steps.iter().filter(with_dictionary).count(), 10);
         let targets = steps.iter().filter(|step| step.name.starts_with("fuzz-")).count();
         assert!(targets >= 19, "{targets}");
     }

@@ -551,7 +551,7 @@ mod tests {
         let number = jobs.enqueue(of_strokes(5), false).unwrap();
         assert!(jobs.start(number, &config).is_some());
         // The pen was beside the third stroke.
-        [0, 1, 3].map(|stroke| draws(&mut jobs, stroke));
+        [0, 1, 3].into_iter().for_each(|stroke| draws(&mut jobs, stroke));
         jobs.found_missing(8);
         jobs.end(false, "a fault");
         let whole = of_strokes(5).path;
@@ -562,7 +562,7 @@ mod tests {
         let rest = path(jobs.go_on(number, &config).unwrap()).unwrap();
         assert!(begins_with(&rest, 2), "{rest:?}");
         // Beside the fourth one now.
-        [2, 4].map(|stroke| draws(&mut jobs, stroke));
+        [2, 4].into_iter().for_each(|stroke| draws(&mut jobs, stroke));
         let fourth = rest.iter().position(|vertex| vertex.stroke == 3).unwrap();
         jobs.found_missing(fourth);
         jobs.end(false, "a fault");

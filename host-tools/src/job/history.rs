@@ -65,9 +65,10 @@ pub struct HistoryEntry {
 impl HistoryEntry {
     /// Takes the progress along the complete path.
     pub fn progress(&mut self, progress: &Progress) {
-        let number = |vertices: usize| u32::try_from(vertices).unwrap_or(u32::MAX);
-        self.executed = number(progress.vertices);
-        self.missing_from = progress.missing_from().map(number);
+        let [executed, complete] =
+            [progress.vertices, progress.complete].map(|count| u32::try_from(count).unwrap_or(u32::MAX));
+        self.executed = executed;
+        self.missing_from = progress.missing_from().map(|_| complete);
         self.strokes = progress.strokes;
         self.pen_down_mm = progress.pen_down_mm;
     }

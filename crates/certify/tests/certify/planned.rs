@@ -221,7 +221,7 @@ fn a_pen_that_begins_to_rise_as_the_path_slows_down_keeps_its_limit_but_for_smal
 }
 
 #[test]
-#[ignore = "takes hours: run it every night"]
+#[ignore = "takes half an hour and more: run it every night"]
 fn a_hundred_thousand_random_paths_keep_every_limit_but_for_peaks_of_the_acceleration() {
     let number = |name, or| {
         std::env::var(name)

@@ -451,15 +451,13 @@ pub async fn tell_delays<const SLAVES: usize, const MESSAGE: usize>(
     clocks: &mut BusClocks<SLAVES>,
     presence: impl Fn(usize) -> Presence,
 ) -> Result<(), BusError> {
-    let is_needed = |position: usize, slave: &SlaveClock| {
-        slave.width.is_some() && slave.is_set && presence(position) == Presence::Used
-    };
     let answers = |position: usize| presence(position) != Presence::Lost;
+    let is_there = |position: usize, slave: &SlaveClock| slave.width.is_some() && slave.is_set && answers(position);
     let before = clocks.distributor(answers);
     run_freely(port, stations, clocks, before).await?;
     // Delays of different measurements have different beginnings.
     let mut there = clocks.slaves.iter().enumerate();
-    if clocks.are_due || there.any(|(position, slave)| is_needed(position, slave) && !slave.measured) {
+    if clocks.are_due || there.any(|(position, slave)| is_there(position, slave) && !slave.measured) {
         measure(port, stations, clocks, &presence).await?;
     }
     let source = clocks.distributor(answers);
