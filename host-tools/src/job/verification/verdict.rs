@@ -81,7 +81,7 @@ impl Verification {
         self.off.extend(&other.off);
     }
 
-    /// Vertices before the first stroke of which a part is missing. The last [`TAIL_MAX_MM`] before the place where the telemetry
+    /// Vertices before the first stroke of which a part is missing. The last 5 mm before the place where the telemetry
     /// ends do not count: there a stop that left the path has made them so, and the executed vertices tell how far it came. Looks
     /// at the parts where the pen was elsewhere only.
     #[must_use]
