@@ -252,7 +252,7 @@ impl Job {
     /// The data collected so far; the job continues.
     pub fn take_report(&mut self) -> JobReport {
         if let Some(verifier) = self.verifier.take() {
-            self.verification = verifier.finish_within(LOOKS_AT_LAST);
+            self.verification = verifier.finish_within(LOOKS_AT_LAST, self.ack.finished);
         }
         let progress = self.progress();
         JobReport {

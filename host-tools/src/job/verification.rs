@@ -55,6 +55,17 @@ const BEGIN_MM: f64 = 2.0;
 /// Largest speed of references relative to the configured one: an override of 200 percent.
 const SPEED_SHARE: f64 = 2.0;
 
+/// A line that is drawn without lifting the pen.
+struct Line {
+    points: Vec<Position>,
+    /// Number of its stroke.
+    number: u32,
+    /// The first vertex of its stroke in the path.
+    vertex: u32,
+    /// Where its first point is in the path.
+    first_point: u32,
+}
+
 /// One millisecond of a stroke.
 #[derive(Clone, Copy)]
 struct StrokeRow {
@@ -146,15 +157,31 @@ impl Verifier {
             looks: 0,
         };
         let mut begin_mm = 0.0;
-        for (points, number, vertex) in lines(path) {
+        for Line {
+            points,
+            number,
+            vertex,
+            first_point,
+        } in lines(path)
+        {
             let line = Polyline::new(thinned(&points, THINNED_MM));
             let (drawn_mm, length_mm) = (length(&points), line.length_mm());
+            let scale = if length_mm > 0.0 { drawn_mm / length_mm } else { 1.0 };
+            let mut along_mm = 0.0;
+            let legs = points.windows(2).map(|pair| distance(&pair[0], &pair[1]));
+            let places = std::iter::once(0.0).chain(legs).map(|leg_mm| {
+                along_mm += leg_mm / scale;
+                along_mm as f32
+            });
+            let points_mm = places.collect();
             result.result.strokes.push(VerifiedStroke {
                 number,
                 vertex,
                 begin_mm,
                 length_mm,
-                scale: if length_mm > 0.0 { drawn_mm / length_mm } else { 1.0 },
+                scale,
+                first_point,
+                points_mm,
             });
             begin_mm += length_mm;
             result.numbers.entry(number).or_insert(result.lines.len());
@@ -213,14 +240,14 @@ impl Verifier {
         self.looks += done;
     }
 
-    /// Result for a drawing whose end was not reported. Matches waiting rows with about `looks` looks; the rest counts
-    /// as not verified.
+    /// Result for a drawing that was ended early. Matches waiting rows with about `looks` looks; the rest counts as not verified.
+    /// `is_over`: the firmware has reported the path's end all the same.
     #[must_use]
-    pub fn finish_within(mut self, looks: usize) -> Verification {
+    pub fn finish_within(mut self, looks: usize, is_over: bool) -> Verification {
         self.close();
         self.work(looks);
         self.give_up();
-        self.finish(false)
+        self.finish(is_over)
     }
 
     /// Leaves all waiting rows unverified.
@@ -470,24 +497,29 @@ fn length(points: &[Position]) -> f64 {
 }
 
 /// The drawn lines of a path, with the stroke's number and its first vertex.
-fn lines(path: &[PathVertex]) -> Vec<(Vec<Position>, u32, u32)> {
+fn lines(path: &[PathVertex]) -> Vec<Line> {
     let at = |vertex: &PathVertex| {
         let [x_mm, y_mm, z_mm] = vertex.position_um.map(|um| f64::from(um) / 1_000.0);
         Position { x_mm, y_mm, z_mm }
     };
-    let mut found: Vec<(Vec<Position>, u32, u32)> = Vec::new();
-    let (mut first, mut is_drawing) = (0, false);
+    let mut found: Vec<Line> = Vec::new();
+    let (mut vertex, mut is_drawing) = (0, false);
     for (index, pair) in (0_u32..).zip(path.windows(2)) {
         if pair[1].stroke != pair[0].stroke {
-            first = index + 1;
+            vertex = index + 1;
         }
         if pair[1].pen == Pen::Up {
             is_drawing = false;
             continue;
         }
         match found.last_mut() {
-            Some((points, number, _)) if is_drawing && *number == pair[1].stroke => points.push(at(&pair[1])),
-            _ => found.push((vec![at(&pair[0]), at(&pair[1])], pair[1].stroke, first)),
+            Some(line) if is_drawing && line.number == pair[1].stroke => line.points.push(at(&pair[1])),
+            _ => found.push(Line {
+                points: vec![at(&pair[0]), at(&pair[1])],
+                number: pair[1].stroke,
+                vertex,
+                first_point: index,
+            }),
         }
         is_drawing = true;
     }

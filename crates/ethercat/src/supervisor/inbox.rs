@@ -24,8 +24,8 @@ pub(super) const SUSPICION_MS: u32 = 3;
 /// How long the bus has to look wrong before the slaves are queried while work is in progress, ms. The work itself may
 /// disturb the bus briefly.
 pub(super) const WORK_SUSPICION_MS: u32 = 20;
-/// Most milliseconds that one look counts for.
-const LOOK_MAX_MS: u32 = 5;
+/// Most milliseconds that one look counts for: two looks are needed at least.
+const LOOK_MAX_MS: u32 = SUSPICION_MS - 1;
 
 /// State and error flag of an AL status register.
 pub(super) const STATUS_MASK: u16 = register::AL_STATE_MASK | register::AL_ERROR_BIT;

@@ -360,7 +360,8 @@ fn samples_that_are_left_out_are_not_verified_and_never_missing() {
 }
 
 #[test]
-fn the_end_of_a_stop_beside_the_path_is_no_missing_part_and_all_before_it_is() {
+fn a_stroke_that_was_not_followed_begins_anew_and_after_a_stop_beside_the_path_only_its_end_does() {
+    // Ten strokes of ten points in ten millimetres.
     let seen = |followed: &[[f64; 2]], off: &[[f64; 2]]| {
         let mut verification = Verification::of_strokes(0..0, None);
         followed
@@ -370,8 +371,16 @@ fn the_end_of_a_stop_beside_the_path_is_no_missing_part_and_all_before_it_is() {
         verification.complete_vertices()
     };
     assert_eq!(seen(&[[0.0, 100.0]], &[]), None);
-    assert_eq!(seen(&[[0.0, 47.0]], &[[47.0, 49.0]]), None, "a stop");
-    assert_eq!(seen(&[[0.0, 42.0]], &[[42.0, 49.0]]), Some(40), "too much for a stop");
+    // Six points up to 5.6 mm, a millimetre before the part.
+    assert_eq!(seen(&[[0.0, 47.0]], &[[47.0, 49.0]]), Some(46), "a stop");
+    assert_eq!(seen(&[[0.0, 42.0]], &[[42.0, 49.0]]), Some(40));
+    assert_eq!(
+        seen(&[[0.0, 46.0]], &[[46.0, 69.0]]),
+        Some(45),
+        "a stop over several strokes"
+    );
+    assert_eq!(seen(&[[0.0, 40.0]], &[[40.0, 100.0]]), Some(40), "to the end");
+    assert_eq!(seen(&[[0.0, 96.0]], &[[96.0, 100.0]]), Some(95));
     assert_eq!(
         seen(&[[0.0, 32.0], [34.0, 49.0]], &[[32.0, 34.0]]),
         Some(30),

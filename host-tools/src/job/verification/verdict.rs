@@ -5,8 +5,8 @@ use crate::job::error::JobError;
 
 /// Least total length of a stroke's missing parts that counts, mm: less is a dot at its ends.
 const MISSING_MIN_MM: f64 = 0.5;
-/// Most of a stroke, mm, that a stop which left its path makes missing at its end.
-const TAIL_MAX_MM: f64 = 5.0;
+/// What is drawn again before a part that is missing at the end, mm: lengths along a stroke are those without its noise.
+const BEFORE_TAIL_MM: f64 = 1.0;
 /// Length below which a difference counts as rounding, mm.
 const ROUNDING_MM: f64 = 1e-6;
 
@@ -22,9 +22,24 @@ pub(super) struct VerifiedStroke {
     pub(super) length_mm: f64,
     /// Its length in the path divided by `length_mm`.
     pub(super) scale: f64,
+    /// Where its first point is in the path.
+    pub(super) first_point: u32,
+    /// Length along it up to each of its points, the first among them, mm.
+    pub(super) points_mm: Vec<f32>,
 }
 
 impl VerifiedStroke {
+    /// Vertices of the path before a place along it.
+    fn vertices_before(&self, along_mm: f64) -> usize {
+        let points = self
+            .points_mm
+            .partition_point(|mm| f64::from(*mm) <= along_mm - BEFORE_TAIL_MM);
+        match points {
+            0 | 1 => self.vertex as usize,
+            points => self.first_point as usize + points,
+        }
+    }
+
     /// Whether so much of it is more than a dot at its ends.
     fn lacks(&self, missing_mm: f64) -> bool {
         missing_mm > 0.0 && missing_mm >= MISSING_MIN_MM.min(0.5 * self.length_mm)
@@ -81,17 +96,14 @@ impl Verification {
         self.off.extend(&other.off);
     }
 
-    /// Vertices before the first stroke of which a part is missing. The last 5 mm before the place where the telemetry
-    /// ends do not count: there a stop that left the path has made them so, and the executed vertices tell how far it came. Looks
-    /// at the parts where the pen was elsewhere only.
+    /// Vertices before the first stroke of which a part is missing. If the pen was beside it up to the place where the telemetry
+    /// ends, as in a stop that left the path, those before that part. Looks at the parts where the pen was elsewhere only.
     #[must_use]
     pub fn complete_vertices(&self) -> Option<usize> {
         let reached_mm = self.followed.end_mm().max(self.off.end_mm());
         let (mut stroke_at, mut missing_mm) = (usize::MAX, 0.0);
         for [from_mm, to_mm] in self.off.iter() {
-            if to_mm >= reached_mm && to_mm - from_mm <= TAIL_MAX_MM {
-                continue;
-            }
+            let is_last = to_mm >= reached_mm;
             let first = self
                 .strokes
                 .partition_point(|stroke| stroke.begin_mm + stroke.length_mm <= from_mm);
@@ -104,7 +116,10 @@ impl Verification {
                 let end_mm = to_mm.min(stroke.begin_mm + stroke.length_mm);
                 missing_mm += end_mm - begin_mm - self.followed.length_between(begin_mm, end_mm);
                 if stroke.lacks(missing_mm) {
-                    return Some(stroke.vertex as usize);
+                    return Some(match is_last {
+                        true => stroke.vertices_before(begin_mm - stroke.begin_mm),
+                        false => stroke.vertex as usize,
+                    });
                 }
             }
         }
@@ -157,6 +172,8 @@ impl Verification {
                 begin_mm,
                 length_mm: 10.0,
                 scale: 1.0,
+                first_point: 10 * number,
+                points_mm: (0..10_u8).map(|point| 10.0 / 9.0 * f32::from(point)).collect(),
             });
             if !seen.contains(&number) {
                 continue;
