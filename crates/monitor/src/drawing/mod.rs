@@ -64,6 +64,8 @@ pub(crate) struct Drawing {
     next: Option<Asked>,
     /// The drawing that was ordered before it and is not answered either.
     replaced: Option<Asked>,
+    /// The drawing that was refused last: its vertices may have arrived, and a later order of its number finds them there.
+    refused: Option<Asked>,
     /// The drawing whose answer was lost, and where its path ends so far.
     unanswered: Option<(u16, Option<Vector>)>,
     end: Option<Vector>,
@@ -92,6 +94,7 @@ impl Drawing {
             job: None,
             next: None,
             replaced: None,
+            refused: None,
             unanswered: None,
             end: None,
             legs: Vec::new(),
@@ -133,6 +136,10 @@ impl Drawing {
                 let asked = [&mut self.next, &mut self.replaced];
                 let asked = asked.into_iter().flatten().find(|asked| asked.job == job);
                 if let Some(asked) = asked {
+                    if index == 0 {
+                        // Not that of a drawing which was refused before.
+                        asked.path.clear();
+                    }
                     asked.path.push((index, position_mm, pen_down));
                 } else if self.unanswered.is_some_and(|(unanswered, _)| unanswered == job) {
                     self.append_unanswered(cell, position_mm, pen_down, bounds);
@@ -142,6 +149,7 @@ impl Drawing {
             }
             Input::Restarted => {
                 (self.job, self.next, self.replaced, self.unanswered) = (None, None, None, None);
+                self.refused = None;
             }
             _ => {}
         }
@@ -153,11 +161,12 @@ impl Drawing {
             asked.orders = asked.orders.saturating_add(1);
             return;
         }
+        let before = self.refused.take_if(|refused| refused.job == job);
         self.replaced = self.next.replace(Asked {
             job,
             orders: 1,
             at: tool,
-            path: Vec::new(),
+            path: before.map_or_else(Vec::new, |before| before.path),
             ink: Vec::new(),
         });
     }
@@ -205,10 +214,11 @@ impl Drawing {
         };
         if self.job == Some(job) {
             // The drawing of that number was begun by an earlier order: the path is its own.
-            for (index, position_mm, pen_down) in asked.path {
-                self.go_on(cell, bounds, index, position_mm, pen_down);
+            for (index, position_mm, pen_down) in &asked.path {
+                self.go_on(cell, bounds, *index, *position_mm, *pen_down);
             }
         }
+        self.refused = Some(asked);
     }
 
     /// The drawing that was ordered last is not waited for any more: it was refused, or the robot stands or stops.
