@@ -138,6 +138,7 @@ pub struct AcyclicPort<'a, const MESSAGE: usize> {
     pub(super) messages: Lane<'a, MESSAGE>,
     polls: u32,
     /// The application's clock, ms.
+    #[cfg(feature = "clock")]
     clock: Option<fn() -> u32>,
 }
 
@@ -148,18 +149,24 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
             registers,
             messages,
             polls: 0,
+            #[cfg(feature = "clock")]
             clock: None,
         }
     }
 
     /// Takes the time from a clock of the application: milliseconds, wrapping. Without one a poll counts as a millisecond.
+    #[cfg(feature = "clock")]
     pub(super) const fn set_clock(&mut self, now_ms: fn() -> u32) {
         self.clock = Some(now_ms);
     }
 
     /// Milliseconds of the application's clock, wrapping; without one, the number of polls so far.
     pub fn now_ms(&self) -> u32 {
-        self.clock.map_or(self.polls, |now_ms| now_ms())
+        #[cfg(feature = "clock")]
+        if let Some(now_ms) = self.clock {
+            return now_ms();
+        }
+        self.polls
     }
 
     /// Waits for so many milliseconds, and as many polls at least.

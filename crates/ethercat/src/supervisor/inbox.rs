@@ -25,6 +25,7 @@ pub(super) const SUSPICION_MS: u32 = 3;
 /// disturb the bus briefly.
 pub(super) const WORK_SUSPICION_MS: u32 = 20;
 /// Most milliseconds that one look counts for: two looks are needed at least.
+#[cfg(feature = "clock")]
 const LOOK_MAX_MS: u32 = SUSPICION_MS - 1;
 
 /// State and error flag of an AL status register.
@@ -94,7 +95,9 @@ pub(super) struct Inbox<'a, F: SlaveFactory> {
     pub(super) seen: Option<Observation>,
     pub(super) suspicion_ms: u32,
     /// The application's clock, ms, and its time at the last look; without one a look counts as a millisecond.
+    #[cfg(feature = "clock")]
     pub(super) clock: Option<fn() -> u32>,
+    #[cfg(feature = "clock")]
     pub(super) looked_ms: u32,
     /// State of the Ethernet port.
     pub(super) port: PortState,
@@ -116,10 +119,18 @@ impl<F: SlaveFactory> Inbox<'_, F> {
     }
 
     /// Time since the last look, ms; one look alone is little proof, however long ago the one before was.
+    #[cfg(feature = "clock")]
     fn passed_ms(&mut self) -> u32 {
         let Some(now_ms) = self.clock else { return 1 };
         let before_ms = core::mem::replace(&mut self.looked_ms, now_ms());
         self.looked_ms.wrapping_sub(before_ms).min(LOOK_MAX_MS)
+    }
+
+    /// A look counts as a millisecond.
+    #[cfg(not(feature = "clock"))]
+    #[allow(clippy::unused_self)] // as with a clock
+    const fn passed_ms(&self) -> u32 {
+        1
     }
 
     /// Takes changes of the port, so that no other command waits behind them, and lets a start overtake a repair.

@@ -185,7 +185,9 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
                 answers,
                 seen: None,
                 suspicion_ms: 0,
+                #[cfg(feature = "clock")]
                 clock: None,
+                #[cfg(feature = "clock")]
                 looked_ms: 0,
                 port: PortState::Unknown,
             },
@@ -207,6 +209,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
 
     /// Takes the time of all waits, timeouts and pauses, and that of the bus between two readings of the reference clock, from a
     /// clock: milliseconds, wrapping. Without one, each poll of [`Self::run`] counts as a millisecond.
+    #[cfg(feature = "clock")]
     #[must_use]
     pub fn with_clock(mut self, now_ms: fn() -> u32) -> Self {
         self.bus.port.set_clock(now_ms);
@@ -219,7 +222,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         self.bus.events_dropped
     }
 
-    /// Runs the supervisor and never returns. Poll the future once a millisecond: unless it has a clock ([`Self::with_clock`]),
+    /// Runs the supervisor and never returns. Poll the future once a millisecond: unless it has a clock (`with_clock`, feature `clock`),
     /// each poll counts as one millisecond of every wait and timeout.
     pub async fn run(&mut self) -> ! {
         loop {
