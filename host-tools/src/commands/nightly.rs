@@ -1,6 +1,7 @@
 //! `etherpen verify --nightly`: what takes longer than continuous integration may.
 
 use crate::error::{ProgramError, code};
+use crate::settings::machines::MACHINES;
 use crate::setup;
 use crate::terminal::in_colour;
 use std::process::Command;
@@ -8,8 +9,6 @@ use std::time::Instant;
 
 /// Robot time of each profile of the campaign on each machine, hours.
 const CAMPAIGN_HOURS: &str = "0.8";
-/// The machines of the campaign.
-const MACHINES: [&str; 5] = ["irb340", "gantry", "corexy", "scara", "linear-delta"];
 /// Robot time of each profile against the emulated board's image, hours.
 const EMULATED_HOURS: &str = "1";
 /// First seed and the one behind the last; an episode takes some seconds of robot time.
@@ -84,7 +83,7 @@ fn steps() -> Vec<Step> {
     ));
     let runs = PROFILES
         .iter()
-        .flat_map(|profile| MACHINES.map(|machine| (profile, machine)));
+        .flat_map(|profile| MACHINES.map(|machine| (profile, machine.name)));
     steps.extend(runs.map(|(profile, machine)| {
         let arguments = format!(
             "run --release --bin etherpen -- campaign --machine {machine} --profile {profile} --seeds {CAMPAIGN_SEEDS} \
