@@ -13,7 +13,7 @@ use etherpen::ethercat::cyclic::{Exchange, ExchangeKind};
 use etherpen::ethercat::event::{BusCommand, BusEvent, BusSetup};
 use etherpen::ethercat::slave_set::SlaveSet;
 use etherpen::ethercat::supervisor::Supervisor;
-use etherpen_segment::{Flywheel, Segment, SegmentOptions, SlaveKind};
+use etherpen_segment::{DataManagers, Flywheel, PlaceOptions, Segment, SegmentOptions, SlaveKind};
 use heapless::spsc::Consumer;
 use std::f64::consts::TAU;
 
@@ -47,7 +47,8 @@ struct Axes {
 }
 
 impl Axes {
-    fn new(cycle_us: u64, exchange: ExchangeKind) -> Self {
+    /// The drives, each with these settings of its place, behind so many terminals.
+    fn new(cycle_us: u64, exchange: ExchangeKind, terminals: usize, place: PlaceOptions) -> Self {
         let settings = DriveSettings {
             mode: AxisMode::Position,
             increments_per_revolution: TURN as u32,
@@ -71,10 +72,11 @@ impl Axes {
         assert!(application.commands.enqueue(BusCommand::Start(setup)).is_ok());
         let options = SegmentOptions {
             slaves: [
-                vec![SlaveKind::Sii(terminal_of_bytes(32, 32, false).into()); TERMINALS],
+                vec![SlaveKind::Sii(terminal_of_bytes(32, 32, false).into()); terminals],
                 vec![SlaveKind::Cia402; DRIVES],
             ]
             .concat(),
+            places: [vec![PlaceOptions::default(); terminals], vec![place; DRIVES]].concat(),
             ..SegmentOptions::default()
         };
         Self {
@@ -162,6 +164,19 @@ impl Axes {
         }
     }
 
+    fn operational(&mut self) {
+        while !self.log.contains(&BusEvent::Operational) {
+            assert!(self.now_us < BRING_UP_MS_MAX * 1_000, "{:#?}", self.log);
+            self.cycle();
+        }
+        self.run_ms(20);
+    }
+
+    /// Where each drive is, increments.
+    fn positions(&self) -> [i32; DRIVES] {
+        std::array::from_fn(|member| self.group.read(member).expect("an input").position)
+    }
+
     fn angles_rad(&self) -> Vec<f64> {
         self.segment.motors().map(|motor| motor.angle_rad).collect()
     }
@@ -170,13 +185,9 @@ impl Axes {
 #[test]
 pub(crate) fn axes_beyond_one_frame_go_to_their_targets_at_their_limit_of_speed_whatever_the_cycle() {
     for (cycle_us, exchange) in [(500, ExchangeKind::Combined), (4_000, ExchangeKind::Split)] {
-        let mut bus = Axes::new(cycle_us, exchange);
-        while !bus.log.contains(&BusEvent::Operational) {
-            assert!(bus.now_us < BRING_UP_MS_MAX * 1_000, "{:#?}", bus.log);
-            bus.cycle();
-        }
-        bus.run_ms(20);
-        let here: [i32; DRIVES] = std::array::from_fn(|member| bus.group.read(member).expect("an input").position);
+        let mut bus = Axes::new(cycle_us, exchange, TERMINALS, PlaceOptions::default());
+        bus.operational();
+        let here = bus.positions();
         // Every drive somewhere else, half of them backwards.
         let turns = |member: usize| (member as f64 + 10.0) * if member.is_multiple_of(2) { 0.1 } else { -0.1 };
         bus.targets = here.map(Some);
@@ -204,5 +215,34 @@ pub(crate) fn axes_beyond_one_frame_go_to_their_targets_at_their_limit_of_speed_
         let counters = bus.group.exchange().counters();
         assert_eq!((counters.frames_lost, counters.working_counter_errors), (0, 0));
         println!("{cycle_us} us, {exchange:?}: {} frames each way at most", bus.frames);
+    }
+}
+
+#[test]
+pub(crate) fn drives_move_whichever_of_their_sync_managers_carry_the_process_data() {
+    let numbers = (2..8).flat_map(|outputs| (2..8).map(move |inputs| DataManagers::new(outputs, inputs)));
+    for managers in numbers.flatten() {
+        let place = PlaceOptions {
+            managers: Some(managers),
+            ..PlaceOptions::default()
+        };
+        let mut bus = Axes::new(1_000, ExchangeKind::Combined, 0, place);
+        bus.operational();
+        bus.targets = bus.positions().map(Some);
+        bus.run_ms(200);
+        for turns in [0.5, -0.25] {
+            let begun = bus.angles_rad();
+            let steps = |member: usize| turns * (1.0 - 0.2 * member as f64);
+            let here = bus.targets.map(Option::unwrap_or_default);
+            let step = |member: usize| (steps(member) * f64::from(TURN)) as i32;
+            bus.targets = std::array::from_fn(|member| Some(here[member] + step(member)));
+            bus.run_ms(800);
+            for (member, (begun, ended)) in begun.iter().zip(bus.angles_rad()).enumerate() {
+                let off_rad = ended - begun - steps(member) * TAU;
+                assert!(off_rad.abs() < 0.01, "{managers:?}, drive {member}: {off_rad} rad");
+            }
+        }
+        let counters = bus.group.exchange().counters();
+        assert_eq!((counters.frames_lost, counters.working_counter_errors), (0, 0), "{managers:?}");
     }
 }

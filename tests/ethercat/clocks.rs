@@ -95,6 +95,8 @@ again! {
         a_memory_that_is_damaged_for_a_moment_of_a_repair_is_read_again_by_the_next,
         an_extra_drive_takes_no_axis_whose_own_drive_is_back;
     terminals [crate::terminals]
+        a_terminal_exchanges_its_data_in_however_many_sync_managers_they_are,
+        a_terminal_with_data_in_too_many_sync_managers_is_refused_and_the_drives_operate,
         terminals_of_any_chain_exchange_their_bits_beside_the_drives,
         a_terminal_that_fails_disturbs_no_drive_and_comes_back_on_command,
         a_terminal_that_cannot_be_read_is_refused_and_the_drives_operate,
@@ -112,6 +114,7 @@ again! {
         a_search_without_an_end_is_timed_out_and_a_fault_ends_it_at_rest,
         a_touch_probe_stores_the_place_of_the_next_index_pulse_each_time_it_is_armed;
     axes [crate::axes]
+        drives_move_whichever_of_their_sync_managers_carry_the_process_data,
         axes_beyond_one_frame_go_to_their_targets_at_their_limit_of_speed_whatever_the_cycle;
     odd_controllers [crate::odd_controllers]
         a_slave_without_lrw_exchanges_its_data_by_lrd_and_lwr_in_any_chain,

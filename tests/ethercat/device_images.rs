@@ -3,6 +3,7 @@
 //! Facts of eight dumps (identities, units, process data) of ethercrab's folder `dumps/eeprom`; names are shortened. Where
 //! the dumps themselves are at hand, a test compares each description with its dump.
 
+use etherpen::ethercat::configure::Direction;
 use etherpen::ethercat::wire::sii::{CATEGORY_END, checksum};
 
 /// A device's information memory.
@@ -145,8 +146,18 @@ fn beckhoff(file: &'static str, configuration: [u16; 4], product: u32, revision:
 /// A terminal with so many bytes of outputs and inputs, each in a sync manager of its own; with distributed clocks or
 /// without.
 pub(crate) fn terminal_of_bytes(outputs: u16, inputs: u16, clock: bool) -> Vec<u8> {
-    let all = [(0x1000, outputs, 0x64, 0x09, 3), (0x1200, inputs, 0x20, 0x09, 4)];
-    let used: Vec<_> = all.into_iter().filter(|(_, bytes, ..)| *bytes > 0).collect();
+    terminal_of_managers(&[(Direction::Outputs, outputs), (Direction::Inputs, inputs)], clock)
+}
+
+/// A terminal with sync managers of so many bytes in this order, without those of 0 bytes; with distributed clocks or without.
+pub(crate) fn terminal_of_managers(list: &[(Direction, u16)], clock: bool) -> Vec<u8> {
+    // Three buffers of up to 42 bytes each.
+    let all = (0x1000..).step_by(0x80).zip(list);
+    let all = all.map(|(start, (direction, bytes))| match direction {
+        Direction::Outputs => (start, *bytes, 0x64, 0x09, 3),
+        Direction::Inputs => (start, *bytes, 0x20, 0x09, 4),
+    });
+    let used: Vec<_> = all.filter(|(_, bytes, ..)| *bytes > 0).collect();
     let mut units: Vec<u8> = used.iter().map(|(.., usage)| usage - 2).collect();
     units.resize(units.len().next_multiple_of(2), 0xFF);
     let configuration = if clock { 0x0D04 } else { 0x0104 };

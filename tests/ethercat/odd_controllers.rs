@@ -29,6 +29,7 @@ pub(crate) const DEFAULT: PlaceOptions = PlaceOptions {
     identification: None,
     clock: None,
     controller: None,
+    managers: None,
     password: 0,
     one_turn: None,
     lock_ms: None,

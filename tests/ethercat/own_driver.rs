@@ -56,12 +56,7 @@ impl<const INPUTS: bool> SlaveFactory for OneWay<INPUTS> {
             };
             slave.entries(direction, &NO_PDO, count).await?;
         }
-        let windows = slave
-            .windows(Windows {
-                outputs: 0x1100,
-                inputs: 0x1180,
-            })
-            .await?;
+        let windows = slave.windows(Windows::standard(0x1100, 0x1180)).await?;
         let [outputs, inputs] = bits;
         Ok(Some(ProcessData {
             windows,

@@ -1,8 +1,10 @@
 //! Terminals beside the robot's drives: their own process data, their failures, and values named by objects.
 
+use crate::device_images::terminal_of_managers;
 use crate::rig::{Rig, idle_rig_of};
 use etherpen::drives::cia402::{DriveState, DriveTarget};
 use etherpen::ethercat::configure::Direction;
+use etherpen::ethercat::configure::own_data::DATA_MANAGERS_MAX;
 use etherpen::ethercat::cyclic::ExchangeKind;
 use etherpen::ethercat::diagnostics::ServiceRequest;
 use etherpen::ethercat::error::BusError;
@@ -223,6 +225,82 @@ pub(crate) fn a_terminal_that_cannot_be_read_is_refused_and_the_drives_operate()
         rig.run_ms(THROUGH_MS);
         assert_eq!(rig.input_bits(1, 0, 8), Some(0x3C), "{fault:?}: {:#?}", rig.log);
     }
+}
+
+/// A value of so many bytes, one after the other in a slave's data of one direction.
+fn bytes_of(rig: &Rig<'_>, slave: usize, bytes: u16) -> Option<Vec<u8>> {
+    let byte = |at| rig.input_bits(slave, 8 * at, 8).map(|value| value as u8);
+    (0..bytes).map(byte).collect()
+}
+
+#[test]
+pub(crate) fn a_terminal_exchanges_its_data_in_however_many_sync_managers_they_are() {
+    for seed in 0..40 {
+        let mut random = Random::new(seed);
+        let list: Vec<(Direction, u16)> = (0..1 + random.bits() % DATA_MANAGERS_MAX as u64)
+            .map(|_| {
+                let direction = match random.bits() % 2 {
+                    0 => Direction::Outputs,
+                    _ => Direction::Inputs,
+                };
+                (direction, 1 + (random.bits() % 4) as u16)
+            })
+            .collect();
+        let length = |wanted| -> u16 {
+            let of_wanted = list.iter().filter(|(direction, _)| *direction == wanted);
+            of_wanted.map(|(_, bytes)| bytes).sum()
+        };
+        let (outputs, inputs) = (length(Direction::Outputs), length(Direction::Inputs));
+        let kind = SlaveKind::Sii(terminal_of_managers(&list, seed % 3 == 0).into());
+        let mut slaves = parse_slaves("ek1100,ax2000*4").unwrap();
+        let slave = 1 + random.bits() as usize % 5;
+        slaves.insert(slave, kind);
+        let exchange = match seed % 2 {
+            0 => ExchangeKind::Split,
+            _ => ExchangeKind::Combined,
+        };
+        let mut rig = rig_of(slaves, exchange);
+        rig.start();
+        rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+        rig.run_ms(20);
+        rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
+        for _ in 0..5 {
+            let mut random_bytes = |count: u16| -> Vec<u8> { (0..count).map(|_| random.bits() as u8).collect() };
+            let (read, written) = (random_bytes(inputs), random_bytes(outputs));
+            rig.cell.set_inputs(slave + 1, &read);
+            for (at, value) in (0..).zip(&written) {
+                assert!(rig.set_output_bits(slave, 8 * at, 8, (*value).into()), "seed {seed}: {list:?}");
+            }
+            for _ in 0..THROUGH_MS {
+                rig.undisturbed_ms("an exchange");
+            }
+            assert_eq!(bytes_of(&rig, slave, inputs), Some(read), "seed {seed}: {list:?}");
+            let acted = rig.cell.outputs(slave + 1).unwrap_or_default();
+            assert_eq!(acted, written, "seed {seed}: {list:?}");
+        }
+        let counters = rig.counters();
+        assert_eq!((counters.frames_lost, counters.working_counter_errors), (0, 0), "seed {seed}: {list:?}");
+    }
+}
+
+#[test]
+pub(crate) fn a_terminal_with_data_in_too_many_sync_managers_is_refused_and_the_drives_operate() {
+    let list = [(Direction::Inputs, 1); DATA_MANAGERS_MAX + 1];
+    let mut slaves = parse_slaves("ek1100,ax2000*4").unwrap();
+    slaves.insert(1, SlaveKind::Sii(terminal_of_managers(&list, false).into()));
+    let mut rig = rig_of(slaves, ExchangeKind::Split);
+    rig.start();
+    rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+    rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
+    let refusal = |event: &BusEvent| match event {
+        BusEvent::TerminalRefused { position, error, .. } => Some((*position, *error)),
+        _ => None,
+    };
+    let expected = BusError::SyncManagers {
+        expected: DATA_MANAGERS_MAX as u8,
+        actual: DATA_MANAGERS_MAX as u8 + 1,
+    };
+    assert_eq!(rig.log.iter().find_map(refusal), Some((1, expected)));
 }
 
 /// Longest time until a terminal is back after an acknowledgement, ms.

@@ -60,10 +60,7 @@ pub static AKD: DriveDescription = DriveDescription {
         ),
         digits: Digits::Velocity,
     }),
-    windows: Windows {
-        outputs: 0x1100,
-        inputs: 0x1140,
-    },
+    windows: Windows::standard(0x1100, 0x1140),
     clocks: Clocks::SYNC0,
     settings,
 };

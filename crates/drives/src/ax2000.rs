@@ -50,10 +50,7 @@ pub static AX2000: DriveDescription = DriveDescription {
         digits: Digits::PeakCurrent(PEAK_CURRENT_DIGITS),
     }),
     position: None,
-    windows: Windows {
-        outputs: 0x1100,
-        inputs: 0x1140,
-    },
+    windows: Windows::standard(0x1100, 0x1140),
     clocks: Clocks::SYNC0,
     settings,
 };

@@ -85,10 +85,7 @@ pub static GENERIC: DriveDescription = DriveDescription {
         ),
         digits: Digits::Velocity,
     }),
-    windows: Windows {
-        outputs: 0x1100,
-        inputs: 0x1400,
-    },
+    windows: Windows::standard(0x1100, 0x1400),
     clocks: Clocks::SYNC0,
     settings,
 };

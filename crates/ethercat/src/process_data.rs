@@ -3,13 +3,13 @@
 //! Invariant: the shares of two slaves never overlap.
 
 use crate::acyclic::{AcyclicPort, Request};
-use crate::configure::discovery::write_managers;
 use crate::configure::own_data::OwnData;
-use crate::configure::{Direction, SYNC_MANAGER_OUTPUTS};
+use crate::configure::discovery::write_managers;
+use crate::configure::{Direction, Windows};
 use crate::cyclic::{CyclicSlave, SPAN_BYTES_MAX};
 use crate::driver::{ProcessData, Role, SlaveFactory};
 use crate::error::BusError;
-use crate::slave::Slave;
+use crate::slave::{Slave, SlaveData};
 use crate::wire::register::{self, FMMU_LEN, FmmuRepr, SYNC_MANAGER_LEN, SyncManagerRepr};
 use crate::wire::{Address, Command};
 use core::ops::Range;
@@ -28,10 +28,10 @@ const WATCHDOG_PDI_UNITS: u16 = 1_000;
 /// are no members. Outputs of slaves that the application does not use stay 0.
 pub fn cyclic_slave<F: SlaveFactory>(slave: &Slave<F>) -> CyclicSlave<F> {
     let (output_length, input_length) = slave.lengths();
-    if (slave.process_data, slave.own_data) == (None, None) {
+    if !slave.data.is_known() {
         return CyclicSlave::default();
     }
-    let role = slave.member.zip(slave.device).zip(slave.process_data);
+    let role = slave.member.zip(slave.device).zip(slave.data.of_driver());
     let start = share(slave).start;
     CyclicSlave {
         input_address: start,
@@ -65,13 +65,21 @@ pub async fn set_up<F: SlaveFactory, const MESSAGE: usize>(
     slave: &Slave<F>,
     watchdog_ms: u16,
 ) -> Result<(), BusError> {
-    if let Some(data) = &slave.own_data {
-        return set_up_own(port, slave, data, watchdog_ms).await;
+    match &slave.data {
+        SlaveData::Unknown => Ok(()),
+        SlaveData::OfDriver(data) => set_up_of_driver(port, slave, data, watchdog_ms).await,
+        SlaveData::Own(data) => set_up_own(port, slave, data, watchdog_ms).await,
     }
-    let Some(data) = slave.process_data else {
-        return Ok(());
-    };
-    let ProcessData { windows, .. } = data;
+}
+
+/// Sets up the sync managers and FMMUs of both directions, and the watchdogs.
+async fn set_up_of_driver<F: SlaveFactory, const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    slave: &Slave<F>,
+    data: &ProcessData<F>,
+    watchdog_ms: u16,
+) -> Result<(), BusError> {
+    let Windows { outputs: to, inputs: from } = data.windows;
     let station = slave.station();
     watchdogs(port, station, watchdog_ms).await?;
     let (outputs, inputs) = (data.output_length, data.input_length);
@@ -84,14 +92,14 @@ pub async fn set_up<F: SlaveFactory, const MESSAGE: usize>(
         ..SyncManagerRepr::default()
     };
     let managers = [
-        manager(windows.outputs, outputs, register::CONTROL_OUTPUTS),
-        manager(windows.inputs, inputs, register::CONTROL_INPUTS),
+        manager(to.start, outputs, register::CONTROL_OUTPUTS),
+        manager(from.start, inputs, register::CONTROL_INPUTS),
     ];
-    write_managers(port, station, SYNC_MANAGER_OUTPUTS, &managers).await?;
+    write_managers(port, station, [to.manager, from.manager], &managers).await?;
     let share = cyclic_slave(slave);
     let mappings = [
-        FmmuRepr::bytes(share.output_address, outputs, windows.outputs, false),
-        FmmuRepr::bytes(share.input_address, inputs, windows.inputs, true),
+        FmmuRepr::bytes(share.output_address, outputs, to.start, false),
+        FmmuRepr::bytes(share.input_address, inputs, from.start, true),
     ];
     let mut registers = [0; 2 * FMMU_LEN];
     for (mapping, bytes) in mappings.iter().zip(registers.chunks_exact_mut(FMMU_LEN)) {
@@ -117,7 +125,7 @@ async fn set_up_own<F: SlaveFactory, const MESSAGE: usize>(
     for (number, manager) in (0..).zip(data.managers()) {
         let mut registers = [0; SYNC_MANAGER_LEN];
         let described = SyncManagerRepr {
-            start: manager.start,
+            start: manager.start(),
             length: manager.length.into(),
             control: manager.control,
             activate: register::SYNC_MANAGER_ENABLE,
@@ -127,8 +135,8 @@ async fn set_up_own<F: SlaveFactory, const MESSAGE: usize>(
         let _ = described.emit(&mut registers);
         port.write(station, register::sync_manager(manager.number), &registers)
             .await?;
-        let logical = if manager.is_input { &mut inputs } else { &mut outputs };
-        let mapping = FmmuRepr::bytes(*logical, manager.length.into(), manager.start, manager.is_input);
+        let logical = if manager.is_input() { &mut inputs } else { &mut outputs };
+        let mapping = FmmuRepr::bytes(*logical, manager.length.into(), manager.start(), manager.is_input());
         *logical += u32::from(manager.length);
         let mut registers = [0; FMMU_LEN];
         let _ = mapping.emit(&mut registers);
@@ -156,7 +164,7 @@ async fn watchdogs<const MESSAGE: usize>(
 mod tests {
     use super::*;
     use crate::acyclic::{IN_FLIGHT_MAX, Lane, Outcome, Reply};
-    use crate::configure::Windows;
+    use crate::configure::objects::Window;
     use crate::no_drivers::NoDrivers;
     use crate::wire::write_bytes;
     use core::pin::pin;
@@ -164,16 +172,14 @@ mod tests {
     use heapless::spsc::Queue;
     use std::vec::Vec;
 
-    const WINDOWS: Windows = Windows {
-        outputs: 0x1100,
-        inputs: 0x1180,
-    };
+    const OUTPUTS: u16 = 0x1100;
+    const INPUTS: u16 = 0x1180;
 
-    /// The registers of a slave that was set up for this many bytes of outputs and of inputs.
-    fn registers(output_length: u16, input_length: u16) -> Vec<u8> {
+    /// The registers of a slave that was set up for this many bytes of outputs and of inputs in these sync managers.
+    fn registers(windows: Windows, output_length: u16, input_length: u16) -> Vec<u8> {
         let slave = Slave::<NoDrivers> {
-            process_data: Some(ProcessData {
-                windows: WINDOWS,
+            data: SlaveData::OfDriver(ProcessData {
+                windows,
                 output_length,
                 input_length,
                 layout: (),
@@ -207,10 +213,21 @@ mod tests {
 
     #[test]
     fn a_slave_gets_sync_managers_and_mappings_that_are_on_only_where_it_has_bytes() {
-        for (outputs, inputs) in (0..=3).flat_map(|outputs| (0..=3).map(move |inputs| (outputs, inputs))) {
-            let registers = registers(outputs, inputs);
-            let manager = |number| {
-                let at = usize::from(register::sync_manager(number));
+        let pairs = |values: Range<u16>| values.clone().flat_map(move |one| values.clone().map(move |other| (one, other)));
+        let numbers = pairs(2..8).filter(|(to, from)| to != from);
+        let cases = numbers.flat_map(|numbers| pairs(0..4).map(move |lengths| (numbers, lengths)));
+        for ((to, from), (outputs, inputs)) in cases {
+            let window = |number, start| Window {
+                manager: number as u8,
+                start,
+            };
+            let windows = Windows {
+                outputs: window(to, OUTPUTS),
+                inputs: window(from, INPUTS),
+            };
+            let registers = registers(windows, outputs, inputs);
+            let manager = |number: u16| {
+                let at = usize::from(register::sync_manager(number as u8));
                 let manager = SyncManagerRepr::parse(&registers[at..]).expect("a sync manager");
                 (manager.start, manager.length, manager.activate)
             };
@@ -219,11 +236,17 @@ mod tests {
                 let mapping = FmmuRepr::parse(&registers[at..]).expect("an FMMU");
                 (mapping.physical_start, mapping.length, mapping.active)
             };
-            let what = std::format!("{outputs} bytes of outputs, {inputs} of inputs");
-            assert_eq!(manager(2), (WINDOWS.outputs, outputs, u8::from(outputs > 0)), "{what}");
-            assert_eq!(manager(3), (WINDOWS.inputs, inputs, u8::from(inputs > 0)), "{what}");
-            assert_eq!(mapping(0), (WINDOWS.outputs, outputs, outputs > 0), "{what}");
-            assert_eq!(mapping(1), (WINDOWS.inputs, inputs, inputs > 0), "{what}");
+            let what = std::format!("{outputs} bytes of outputs in {to}, {inputs} of inputs in {from}");
+            assert_eq!(manager(to), (OUTPUTS, outputs, u8::from(outputs > 0)), "{what}");
+            assert_eq!(manager(from), (INPUTS, inputs, u8::from(inputs > 0)), "{what}");
+            assert_eq!(mapping(0), (OUTPUTS, outputs, outputs > 0), "{what}");
+            assert_eq!(mapping(1), (INPUTS, inputs, inputs > 0), "{what}");
+            // No other sync manager was written.
+            let others = (0..8).filter(|number| ![to, from].contains(number));
+            for number in others {
+                let at = usize::from(register::sync_manager(number as u8));
+                assert_eq!(registers[at..at + SYNC_MANAGER_LEN], [0xFF; SYNC_MANAGER_LEN], "{what}: {number}");
+            }
         }
     }
 }

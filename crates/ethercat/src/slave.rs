@@ -32,6 +32,41 @@ pub enum Condition {
     Parked,
 }
 
+/// Process data of a slave.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SlaveData<F: SlaveFactory> {
+    /// Not configured, or not known.
+    #[default]
+    Unknown,
+    /// As its driver has configured them.
+    OfDriver(ProcessData<F>),
+    /// As the slave itself describes them.
+    Own(OwnData),
+}
+
+impl<F: SlaveFactory> SlaveData<F> {
+    /// Whether the process data are known.
+    pub const fn is_known(&self) -> bool {
+        !matches!(self, Self::Unknown)
+    }
+
+    /// Those that a driver has configured.
+    pub const fn of_driver(&self) -> Option<&ProcessData<F>> {
+        match self {
+            Self::OfDriver(data) => Some(data),
+            Self::Unknown | Self::Own(_) => None,
+        }
+    }
+
+    /// Those that the slave itself describes.
+    pub const fn own(&self) -> Option<&OwnData> {
+        match self {
+            Self::Own(data) => Some(data),
+            Self::Unknown | Self::OfDriver(_) => None,
+        }
+    }
+}
+
 /// One slave in the chain.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Slave<F: SlaveFactory> {
@@ -49,10 +84,8 @@ pub struct Slave<F: SlaveFactory> {
     pub member: Option<u8>,
     /// Whether it takes part with its own process data.
     pub is_terminal: bool,
-    /// Its process data, once its driver has configured them.
-    pub process_data: Option<ProcessData<F>>,
-    /// The process data of a slave that exchanges its own, once they are known.
-    pub own_data: Option<OwnData>,
+    /// Its process data.
+    pub data: SlaveData<F>,
     /// Its mailbox, once configured.
     pub mailbox: Mailbox,
     /// Condition of the slave.
@@ -82,8 +115,7 @@ impl<F: SlaveFactory> Slave<F> {
             device: None,
             member: None,
             is_terminal: false,
-            process_data: None,
-            own_data: None,
+            data: SlaveData::Unknown,
             mailbox: Mailbox::default(),
             condition: Condition::default(),
             dl_status: 0,
@@ -102,7 +134,7 @@ impl<F: SlaveFactory> Slave<F> {
 
     /// Whether it is a terminal whose process data could not be found: what was read of it before may have been damaged.
     pub const fn is_refused_terminal(&self) -> bool {
-        self.is_terminal && self.own_data.is_none()
+        self.is_terminal && self.data.own().is_none()
     }
 
     /// Whether it is a terminal of whose information memory nothing was read yet.
@@ -117,10 +149,10 @@ impl<F: SlaveFactory> Slave<F> {
 
     /// Bytes of its outputs and of its inputs; 0 while they are not known.
     pub fn lengths(&self) -> (u16, u16) {
-        match (self.process_data, self.own_data) {
-            (Some(data), _) => (data.output_length, data.input_length),
-            (None, Some(data)) => (data.length(Direction::Outputs), data.length(Direction::Inputs)),
-            (None, None) => (0, 0),
+        match self.data {
+            SlaveData::OfDriver(data) => (data.output_length, data.input_length),
+            SlaveData::Own(data) => (data.length(Direction::Outputs), data.length(Direction::Inputs)),
+            SlaveData::Unknown => (0, 0),
         }
     }
 

@@ -55,6 +55,7 @@ pub use faults::{SCRIPT_HELP, Script, ScriptError, ScriptProblem};
 pub use list::{SLAVES_MAX, SlaveList, SlaveListError, parse_slaves};
 pub use load::{Flywheel, Load, STEP_S, Shaft};
 pub use mailbox::foe::FileFault;
+pub use mailbox::process_data::DataManagers;
 pub use oscillator::Oscillator;
 pub use segment::{CATCH_UP_MS_MAX, ClockOptions, MotorState, Segment, SegmentOptions, SlaveState};
 pub use slave::options::{PlaceOptions, SlaveOptions};

@@ -10,6 +10,7 @@ use crate::controller::silicon::{ClockWidth, ControllerType};
 use crate::devices::kind::SlaveKind;
 use crate::drive::OneTurn;
 use crate::eeprom::esi::EsiDevice;
+use crate::mailbox::process_data::DataManagers;
 use crate::slave::options::PlaceOptions;
 use crate::wiring::Branch;
 use std::fmt;
@@ -25,8 +26,8 @@ const TIME_MAX_MS: u64 = 3_600_000;
 /// Most bytes of a slave information file (ESI).
 const ESI_BYTES_MAX: u64 = 64 << 20;
 /// The settings of a slave, for messages.
-const SETTINGS: &str = "name=NAME, alias=N, serial=N, id=N, password=N, clock=32|64, controller=et1100|lan9252|akd, range=turn|untold, lock=MS, boot=MS, \
-                        transition=MS, mailbox=MS, lrw=no, units=pairs or sii=needed";
+const SETTINGS: &str = "name=NAME, alias=N, serial=N, id=N, password=N, clock=32|64, controller=et1100|lan9252|akd, managers=OUT/IN, range=turn|untold, lock=MS, \
+                        boot=MS, transition=MS, mailbox=MS, lrw=no, units=pairs or sii=needed";
 /// Ports that parentheses without a port take, in turn.
 const BRANCH_PORTS: [u8; 2] = [2, 3];
 
@@ -355,6 +356,11 @@ fn set(place: &mut PlaceOptions, setting: &str) -> Option<()> {
             let known = ControllerType::NAMES.iter().find(|(name, _)| *name == value);
             place.controller = Some(known?.1);
         }
+        "managers" => {
+            let (outputs, inputs) = value.split_once('/')?;
+            let [outputs, inputs] = [outputs, inputs].map(|word| number(word)?.try_into().ok());
+            place.managers = Some(DataManagers::new(outputs?, inputs?)?);
+        }
         "range" => {
             place.one_turn = Some(match value {
                 "turn" => OneTurn::Told,
@@ -440,13 +446,14 @@ mod tests {
     #[test]
     fn settings_belong_to_their_item() {
         let list: SlaveList =
-            "ek1100, cia402@alias=0x12@serial=7@id=5*2,ax2000 @clock=32@controller=lan9252@boot=500@sii=needed@lrw=no@units=pairs"
+            "ek1100, cia402@alias=0x12@serial=7@id=5@managers=4/3*2,ax2000 @clock=32@controller=lan9252@boot=500@sii=needed@lrw=no@units=pairs"
                 .parse()
                 .expect("a list");
         let drive = PlaceOptions {
             alias: 0x12,
             serial: Some(7),
             identification: Some(5),
+            managers: DataManagers::new(4, 3),
             ..PlaceOptions::default()
         };
         let mut last = PlaceOptions {
@@ -535,6 +542,10 @@ mod tests {
             "serial=0x100000000",
             "clock=16",
             "controller=et1101",
+            "managers=2",
+            "managers=2/2",
+            "managers=1/3",
+            "managers=2/8",
             "range=2",
             "boot=3600001",
             "sii=yes",

@@ -178,14 +178,14 @@ pub async fn mailbox_managers<const MESSAGE: usize>(
         mailbox_manager(fixed.mailbox_out, register::CONTROL_MAILBOX_OUT),
         mailbox_manager(fixed.mailbox_in, register::CONTROL_MAILBOX_IN),
     ];
-    write_managers(port, station, 0, &managers).await
+    write_managers(port, station, [0, 1], &managers).await
 }
 
-/// Writes two consecutive sync managers in one datagram.
+/// Writes two sync managers, in one datagram where their numbers follow each other.
 pub(crate) async fn write_managers<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
-    first: u8,
+    numbers: [u8; 2],
     managers: &[SyncManagerRepr; 2],
 ) -> Result<(), BusError> {
     let mut registers = [0; 2 * SYNC_MANAGER_LEN];
@@ -193,7 +193,13 @@ pub(crate) async fn write_managers<const MESSAGE: usize>(
         // Each part has the length of the structure.
         let _ = manager.emit(bytes);
     }
-    port.write(station, register::sync_manager(first), &registers).await
+    let [first, second] = numbers.map(register::sync_manager);
+    if second == first + SYNC_MANAGER_LEN as u16 {
+        return port.write(station, first, &registers).await;
+    }
+    let (of_first, of_second) = registers.split_at(SYNC_MANAGER_LEN);
+    port.write(station, first, of_first).await?;
+    port.write(station, second, of_second).await
 }
 
 fn mailbox_manager(window: MailboxWindow, control: u8) -> SyncManagerRepr {

@@ -8,10 +8,9 @@
 pub mod discovery;
 pub mod identification;
 pub mod information;
-mod objects;
+pub(crate) mod objects;
 pub mod own_data;
 mod pre_operational;
 
-pub(crate) use objects::SYNC_MANAGER_OUTPUTS;
 pub use objects::{Direction, Entry, PdoChoice, Setting, Windows};
 pub use pre_operational::PreOperational;

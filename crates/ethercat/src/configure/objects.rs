@@ -2,11 +2,6 @@
 
 use crate::wire::coe::Object;
 
-/// Sync manager of the outputs.
-pub(crate) const SYNC_MANAGER_OUTPUTS: u8 = 2;
-/// Sync manager of the inputs.
-pub(crate) const SYNC_MANAGER_INPUTS: u8 = SYNC_MANAGER_OUTPUTS + 1;
-
 /// Outputs or inputs, as seen from the master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {
@@ -16,13 +11,59 @@ pub enum Direction {
     Inputs,
 }
 
-/// Addresses of the process data in the slave's memory.
+/// Sync manager that carries a slave's process data of one direction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Window {
+    /// Its number.
+    pub(crate) manager: u8,
+    /// Its first byte in the slave's memory.
+    pub(crate) start: u16,
+}
+
+/// Where a slave's process data are: one sync manager for each direction.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Windows {
-    /// Start of the outputs: sync manager 2.
-    pub outputs: u16,
-    /// Start of the inputs: sync manager 3.
-    pub inputs: u16,
+    pub(crate) outputs: Window,
+    pub(crate) inputs: Window,
+}
+
+impl Windows {
+    /// Sync managers 2 for the outputs and 3 for the inputs, as ETG.1000.6 numbers them behind those of the mailbox, with these
+    /// first bytes in the slave's memory.
+    pub const fn standard(outputs: u16, inputs: u16) -> Self {
+        Self {
+            outputs: Window {
+                manager: 2,
+                start: outputs,
+            },
+            inputs: Window {
+                manager: 3,
+                start: inputs,
+            },
+        }
+    }
+
+    /// Listed sync managers, and standard ones for those that are not listed; no number stands for both directions.
+    pub(crate) fn listed(outputs: Option<Window>, inputs: Option<Window>) -> Self {
+        let mut windows = Self::standard(0, 0);
+        if outputs.is_some_and(|outputs| outputs.manager == windows.inputs.manager)
+            || inputs.is_some_and(|inputs| inputs.manager == windows.outputs.manager)
+        {
+            core::mem::swap(&mut windows.outputs, &mut windows.inputs);
+        }
+        Self {
+            outputs: outputs.unwrap_or(windows.outputs),
+            inputs: inputs.unwrap_or(windows.inputs),
+        }
+    }
+
+    /// The sync manager of one direction.
+    pub(crate) const fn of(&self, direction: Direction) -> Window {
+        match direction {
+            Direction::Outputs => self.outputs,
+            Direction::Inputs => self.inputs,
+        }
+    }
 }
 
 /// An object in the process data.

@@ -19,14 +19,14 @@ use crate::wire::coe::Object;
 use crate::wire::register;
 use crate::wire::sii::{self, PdoRecord, Record, SyncManagerRecord, SyncManagerUse};
 
-/// Most sync managers of a slave that carry process data.
-pub const DATA_MANAGERS_MAX: usize = 3;
+/// Most sync managers of a slave that carry process data: as many as take no more room than the process data of a driver.
+pub const DATA_MANAGERS_MAX: usize = 7;
 /// Most sync managers that a slave controller has.
-const MANAGERS_MAX: u16 = 16;
+pub(super) const MANAGERS_MAX: u16 = 16;
 /// Lowest address of process data: digital outputs have their own register (IEC 61158-4-12, 0x0F00).
 const OUTPUTS_START: u16 = 0x0F00;
 /// Object that lists the process data objects of sync manager 0; those of the others follow.
-const ASSIGNMENT: u16 = 0x1C10;
+pub(super) const ASSIGNMENT: u16 = 0x1C10;
 
 /// The sync managers of a slave with CoE whose SII does not list them: behind those of the mailbox.
 pub const UNLISTED: [SyncManagerRecord; 4] = {
@@ -53,14 +53,24 @@ pub const UNLISTED: [SyncManagerRecord; 4] = {
 pub struct DataManager {
     /// Its number.
     pub number: u8,
-    /// Whether it carries inputs; otherwise outputs.
-    pub is_input: bool,
-    /// Control byte of its register.
+    /// Control byte of its register; its direction is that of the process data.
     pub control: u8,
     /// Bytes.
     pub length: u8,
+    /// First byte in the slave's memory, little-endian: no byte is lost to alignment.
+    start: [u8; 2],
+}
+
+impl DataManager {
+    /// Whether it carries inputs; otherwise outputs.
+    pub const fn is_input(&self) -> bool {
+        self.control & register::CONTROL_DIRECTION == 0
+    }
+
     /// First byte in the slave's memory.
-    pub start: u16,
+    pub const fn start(&self) -> u16 {
+        u16::from_le_bytes(self.start)
+    }
 }
 
 /// A slave's own process data.
@@ -79,7 +89,7 @@ impl OwnData {
     /// Bytes of all outputs, or of all inputs.
     pub fn length(&self, direction: Direction) -> u16 {
         let is_input = direction == Direction::Inputs;
-        let lengths = self.managers().filter(|manager| manager.is_input == is_input);
+        let lengths = self.managers().filter(|manager| manager.is_input() == is_input);
         lengths.map(|manager| u16::from(manager.length)).sum()
     }
 }
@@ -209,13 +219,16 @@ pub async fn find<const MESSAGE: usize>(
             actual: used as u8 + 1,
         })?;
         used += 1;
+        let others = record.control & !register::CONTROL_DIRECTION;
         *place = DataManager {
             number: number as u8,
-            is_input: direction == Direction::Inputs,
-            control: record.control,
+            control: match direction {
+                Direction::Outputs => others | register::CONTROL_MASTER_WRITES,
+                Direction::Inputs => others,
+            },
             // More than a byte counts is more than the plan takes.
             length: u8::try_from(length).unwrap_or(u8::MAX),
-            start: record.start,
+            start: record.start.to_le_bytes(),
         };
     }
     Ok(data)

@@ -1,13 +1,17 @@
 //! A slave in PREOP, as its driver sees it: objects, lists of process data, and where these lie in its memory.
 //!
 //! The driver's choice of process data is assigned and mapped; a device that refuses keeps its own. Then the lists are
-//! read back (CiA 301: 0x1C12 and 0x1C13 name the objects assigned to sync managers 2 and 3, each of which lists its
-//! entries). Where such an object is missing, the SII's lists are used, or else those of the driver.
+//! read back (0x1C10 + the number of a sync manager names the objects assigned to it, each of which lists its entries).
+//! Where such an object is missing, the SII's lists are used, or else those of the driver.
+//!
+//! The sync managers are those that the SII lists first for outputs and for inputs, behind those of a mailbox; where it lists
+//! none, they are 2 and 3, as ETG.1000.6 numbers them.
 //!
 //! Invariants: a refused assignment or mapping is not an error; every list and every wait ends.
 
 use super::information::read_sii;
-use super::objects::{Direction, Entry, PdoChoice, SYNC_MANAGER_INPUTS, SYNC_MANAGER_OUTPUTS, Setting, Windows};
+use super::objects::{Direction, Entry, PdoChoice, Setting, Window, Windows};
+use super::own_data::{ASSIGNMENT, MANAGERS_MAX};
 use crate::acyclic::AcyclicPort;
 use crate::coe::ObjectDictionary;
 use crate::error::BusError;
@@ -20,16 +24,14 @@ use crate::wire::sii::{
 use crate::wire::{read_u16, write_bytes};
 use heapless::Vec;
 
-/// Object that lists the process data objects of the outputs.
-const ASSIGNMENT_OUTPUTS: u16 = 0x1C12;
-/// Object that lists the process data objects of the inputs.
-const ASSIGNMENT_INPUTS: u16 = 0x1C13;
 /// Most process data objects of one direction.
 const PDOS_MAX: usize = 8;
 /// Most entries of one process data object: the last sub-index of a list.
 pub(super) const ENTRIES_MAX: u8 = 254;
 /// Most read-backs of a setting until the device shows the value; one read-back takes some milliseconds.
 const VERIFY_TRIES_MAX: u8 = 10;
+/// Sync managers of a mailbox, before all others.
+const MAILBOX_MANAGERS: u16 = 2;
 /// Lowest address of process memory.
 const PROCESS_MEMORY: u16 = register::PROCESS_MEMORY;
 /// Words of the SII in a KiBit.
@@ -38,25 +40,11 @@ const SII_WORDS_PER_KIBIT: u16 = 64;
 const RECORD_WORDS: u16 = 4;
 
 impl Direction {
-    const fn assignment(self) -> u16 {
-        match self {
-            Self::Outputs => ASSIGNMENT_OUTPUTS,
-            Self::Inputs => ASSIGNMENT_INPUTS,
-        }
-    }
-
     /// The SII's category of process data objects.
     const fn category(self) -> u16 {
         match self {
             Self::Outputs => sii::CATEGORY_RX_PDO,
             Self::Inputs => sii::CATEGORY_TX_PDO,
-        }
-    }
-
-    const fn sync_manager(self) -> u8 {
-        match self {
-            Self::Outputs => SYNC_MANAGER_OUTPUTS,
-            Self::Inputs => SYNC_MANAGER_INPUTS,
         }
     }
 }
@@ -67,20 +55,25 @@ pub struct PreOperational<'p, 'q, const MESSAGE: usize> {
     station: u16,
     mailbox: &'p mut Mailbox,
     cycle_ns: u32,
+    /// Its sync managers, once they are known; a first byte of 0 is not known.
+    windows: Option<Windows>,
 }
 
 impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
+    /// `windows` are those of a slave that describes its sync managers as this one does.
     pub(crate) fn new(
         port: &'p mut AcyclicPort<'q, MESSAGE>,
         station: u16,
         mailbox: &'p mut Mailbox,
         cycle_ns: u32,
+        windows: Option<Windows>,
     ) -> Self {
         Self {
             port,
             station,
             mailbox,
             cycle_ns,
+            windows,
         }
     }
 
@@ -98,10 +91,11 @@ impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
     /// any part.
     ///
     /// # Errors
-    /// Errors of the mailbox.
+    /// Errors of the mailbox and the SII.
     pub async fn assign(&mut self, direction: Direction, choice: &PdoChoice) -> Result<bool, BusError> {
+        let index = self.assignment(direction).await?;
         let dictionary = &mut self.dictionary();
-        let assignment = |sub| Object::new(direction.assignment(), sub);
+        let assignment = |sub| Object::new(index, sub);
         if !offer(dictionary, assignment(0), 0, 1).await? {
             return Ok(false);
         }
@@ -195,16 +189,18 @@ impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
         mut take: impl FnMut(Entry) -> Result<(), BusError>,
     ) -> Result<(), BusError> {
         let station = self.station;
+        let manager = self.listed_windows().await?.of(direction).manager;
+        let index = self.assignment(direction).await?;
         let mut pdos: Vec<u16, PDOS_MAX> = Vec::new();
         let mut dictionary = self.dictionary();
-        let assigned = read_list(&mut dictionary, direction.assignment(), PDOS_MAX as u8, 2, |pdo| {
+        let assigned = read_list(&mut dictionary, index, PDOS_MAX as u8, 2, |pdo| {
             // The list has room for as many.
             let _ = pdos.push(pdo as u16);
             Ok(())
         });
         match assigned.await {
             Err(BusError::SdoAbort { .. }) => {
-                let here = |pdo: &PdoRecord| pdo.sync_manager == direction.sync_manager();
+                let here = |pdo: &PdoRecord| pdo.sync_manager == manager;
                 if sii_entries(self.port, station, direction, here, &mut take).await? == 0 {
                     choice.entries.iter().try_for_each(|entry| take(*entry))?;
                 }
@@ -237,31 +233,75 @@ impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
         Ok(())
     }
 
-    /// Addresses of the process data according to the SII, or `otherwise`.
+    /// Where the process data are: the sync managers of the SII, and the first bytes of `otherwise` where it tells none.
     ///
     /// # Errors
     /// Errors of the SII.
     pub async fn windows(&mut self, otherwise: Windows) -> Result<Windows, BusError> {
-        let (port, station) = (&mut *self.port, self.station);
-        let mut windows = otherwise;
-        let Some(category) = find_category(port, station, sii::CATEGORY_SYNC_MANAGER).await? else {
-            return Ok(windows);
+        let listed = self.listed_windows().await?;
+        let told = |window: Window, otherwise: Window| match window.start {
+            0 => Window {
+                start: otherwise.start,
+                ..window
+            },
+            _ => window,
         };
-        for number in [Direction::Outputs, Direction::Inputs].map(Direction::sync_manager) {
-            let offset = u16::from(number) * RECORD_WORDS;
-            if offset + RECORD_WORDS > category.words {
-                break;
-            }
-            let bytes = sii_record(port, station, category.word.saturating_add(offset)).await?;
-            match SyncManagerRecord::parse(&bytes) {
-                Ok(manager) if manager.start < PROCESS_MEMORY => {}
-                Ok(manager) if manager.usage == SyncManagerUse::Outputs => windows.outputs = manager.start,
-                Ok(manager) if manager.usage == SyncManagerUse::Inputs => windows.inputs = manager.start,
-                _ => {}
-            }
+        Ok(Windows {
+            outputs: told(listed.outputs, otherwise.outputs),
+            inputs: told(listed.inputs, otherwise.inputs),
+        })
+    }
+
+    /// The object that lists what the sync manager of a direction carries.
+    async fn assignment(&mut self, direction: Direction) -> Result<u16, BusError> {
+        let windows = self.listed_windows().await?;
+        Ok(ASSIGNMENT + u16::from(windows.of(direction).manager))
+    }
+
+    /// The sync managers of the SII, read once.
+    async fn listed_windows(&mut self) -> Result<Windows, BusError> {
+        if let Some(windows) = self.windows {
+            return Ok(windows);
         }
+        let has_mailbox = *self.mailbox != Mailbox::default();
+        let windows = listed_windows(self.port, self.station, has_mailbox).await?;
+        self.windows = Some(windows);
         Ok(windows)
     }
+}
+
+/// The first sync managers that the SII lists for outputs and for inputs, behind those of a mailbox. Those that it does not
+/// list are the standard ones; first bytes that it does not tell are 0.
+async fn listed_windows<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+    has_mailbox: bool,
+) -> Result<Windows, BusError> {
+    let (mut outputs, mut inputs) = (None, None);
+    let category = find_category(port, station, sii::CATEGORY_SYNC_MANAGER).await?;
+    let managers = category.map_or(0, |category| (category.words / RECORD_WORDS).min(MANAGERS_MAX));
+    let first = if has_mailbox { MAILBOX_MANAGERS } else { 0 };
+    for number in first..managers {
+        let word = category.map_or(0, |category| category.word.saturating_add(number * RECORD_WORDS));
+        let Ok(record) = SyncManagerRecord::parse(&sii_record(port, station, word).await?) else {
+            continue;
+        };
+        let window = match record.usage {
+            SyncManagerUse::Outputs => &mut outputs,
+            SyncManagerUse::Inputs => &mut inputs,
+            _ => continue,
+        };
+        if record.flags & sii::SYNC_MANAGER_VIRTUAL == 0 {
+            window.get_or_insert(Window {
+                manager: number as u8,
+                start: if record.start < PROCESS_MEMORY { 0 } else { record.start },
+            });
+        }
+        if outputs.is_some() && inputs.is_some() {
+            break;
+        }
+    }
+    Ok(Windows::listed(outputs, inputs))
 }
 
 /// Writes a value; false when the drive refuses it.
@@ -380,13 +420,16 @@ mod tests {
     use heapless::spsc::Queue;
     use std::vec::Vec;
 
-    /// An SII with the records of a slave's inputs and nothing else.
-    fn sii(records: &[[u8; 8]]) -> Vec<u8> {
+    /// Number of the sync manager of the inputs.
+    const INPUTS: u8 = 3;
+
+    /// An SII with one category of such records and nothing else.
+    fn sii(category: u16, records: &[[u8; 8]]) -> Vec<u8> {
         let mut bytes = std::vec![0; 2 * usize::from(sii::WORD_CATEGORIES)];
         // Two KiBit.
         write_bytes(&mut bytes, 2 * usize::from(sii::WORD_SIZE), &[1]);
         let words = RECORD_WORDS * records.len() as u16;
-        for word in [sii::CATEGORY_TX_PDO, words] {
+        for word in [category, words] {
             bytes.extend(word.to_le_bytes());
         }
         bytes.extend(records.concat());
@@ -435,12 +478,36 @@ mod tests {
 
     /// What [`inputs`] returns of an interface whose answers have these lengths in turn, bytes.
     fn inputs_in_parts(records: &[[u8; 8]], lengths: &[usize]) -> (Result<u8, BusError>, Vec<Entry>) {
-        let mut interface = Interface {
-            sii: sii(records),
+        let interface = Interface {
+            sii: sii(sii::CATEGORY_TX_PDO, records),
             word: 0,
             lengths: lengths.to_vec(),
         };
         let mut entries = Vec::new();
+        let mut take = |entry| {
+            entries.push(entry);
+            Ok(())
+        };
+        let here = |pdo: &PdoRecord| pdo.sync_manager == INPUTS;
+        let found = answered(interface, async |port| {
+            sii_entries(port, 0x1001, Direction::Inputs, here, &mut take).await
+        });
+        (found, entries)
+    }
+
+    /// The sync managers that an SII lists.
+    fn windows(records: &[[u8; 8]], has_mailbox: bool) -> Windows {
+        let interface = Interface {
+            sii: sii(sii::CATEGORY_SYNC_MANAGER, records),
+            word: 0,
+            lengths: std::vec![8],
+        };
+        let listed = answered(interface, async |port| listed_windows(port, 0x1001, has_mailbox).await);
+        listed.expect("windows")
+    }
+
+    /// Does work over a port that this interface answers.
+    fn answered<T>(mut interface: Interface, work: impl AsyncFnOnce(&mut AcyclicPort<'_, 32>) -> T) -> T {
         let mut requests = Queue::<Request, { IN_FLIGHT_MAX + 1 }>::new();
         let mut replies = Queue::<Reply, { IN_FLIGHT_MAX + 1 }>::new();
         let (mut messages, mut answers) = (Queue::<Request<32>, 2>::new(), Queue::<Reply<32>, 2>::new());
@@ -448,31 +515,65 @@ mod tests {
         let (mut give, given) = replies.split();
         let message_lane = Lane::new(messages.split().0, answers.split().1);
         let mut port = AcyclicPort::new(Lane::new(ask, given), message_lane);
-        let mut take = |entry| {
-            entries.push(entry);
-            Ok(())
-        };
-        let found = {
-            let here = |pdo: &PdoRecord| pdo.sync_manager == SYNC_MANAGER_INPUTS;
-            let mut work = pin!(sii_entries(&mut port, 0x1001, Direction::Inputs, here, &mut take));
-            let mut polls = (0..1_000).map(|_| {
-                let result = work.as_mut().poll(&mut Context::from_waker(Waker::noop()));
-                while let Some(request) = asked.dequeue() {
-                    assert!(give.enqueue(interface.answer(&request)).is_ok());
-                }
-                result
-            });
-            polls.find_map(|result| match result {
-                Poll::Ready(found) => Some(found),
-                Poll::Pending => None,
-            })
-        };
-        (found.expect("an end"), entries)
+        let mut work = pin!(work(&mut port));
+        let mut polls = (0..1_000).map(|_| {
+            let result = work.as_mut().poll(&mut Context::from_waker(Waker::noop()));
+            while let Some(request) = asked.dequeue() {
+                assert!(give.enqueue(interface.answer(&request)).is_ok());
+            }
+            result
+        });
+        let found = polls.find_map(|result| match result {
+            Poll::Ready(found) => Some(found),
+            Poll::Pending => None,
+        });
+        found.expect("an end")
     }
 
     #[test]
+    fn the_sync_managers_are_the_first_that_are_listed_behind_a_mailbox() {
+        let mut random = 1_u32;
+        let mut below = |limit: u32| {
+            random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
+            (random >> 16) % limit
+        };
+        for _ in 0..2_000 {
+            let has_mailbox = below(2) == 0;
+            // Unused, mailboxes, outputs, inputs; some of them virtual.
+            let list: Vec<(u16, u8, u8)> = (0..below(9))
+                .map(|_| (0x400 * below(8) as u16, below(5) as u8, u8::from(below(4) == 0) << 2))
+                .collect();
+            let record = |&(start, usage, flags): &(u16, u8, u8)| {
+                let [low, high] = start.to_le_bytes();
+                [low, high, 0, 0, 0, 0, flags, usage]
+            };
+            let records: Vec<[u8; 8]> = list.iter().map(record).collect();
+            let found = windows(&records, has_mailbox);
+            let expected = |usage| {
+                let numbered = (0_u8..).zip(&list).skip(if has_mailbox { 2 } else { 0 });
+                let mut real = numbered.filter(|(_, (_, listed, flags))| (*listed, *flags) == (usage, 0));
+                real.next().map(|(number, (start, ..))| (number, *start))
+            };
+            for (usage, window, standard) in [(3, found.outputs, 2), (4, found.inputs, 3)] {
+                match expected(usage) {
+                    Some((number, start)) => {
+                        let told = if start < PROCESS_MEMORY { 0 } else { start };
+                        assert_eq!((window.manager, window.start), (number, told), "{list:?}");
+                    }
+                    None => {
+                        assert!([standard, 5 - standard].contains(&window.manager), "{list:?}");
+                        assert_eq!(window.start, 0, "{list:?}");
+                    }
+                }
+            }
+            assert_ne!(found.outputs.manager, found.inputs.manager, "{list:?}");
+        }
+    }
+
+
+    #[test]
     fn a_process_data_object_without_entries_in_the_sii_does_not_count() {
-        let object = |index: u8, entries| [index, 0x1A, entries, SYNC_MANAGER_INPUTS, 0, 0, 0, 0];
+        let object = |index: u8, entries| [index, 0x1A, entries, INPUTS, 0, 0, 0, 0];
         let entry = [0x64, 0x60, 0, 0, 0, 32, 0, 0];
         let position = Entry::new(Object::new(0x6064, 0), 32);
         assert_eq!(inputs(&[object(0, 0)]), (Ok(0), Vec::new()));
@@ -481,7 +582,7 @@ mod tests {
     }
     #[test]
     fn records_are_whole_in_whatever_parts_the_sii_is_answered() {
-        let object = |index: u8, entries| [index, 0x1A, entries, SYNC_MANAGER_INPUTS, 0, 0, 0, 0];
+        let object = |index: u8, entries| [index, 0x1A, entries, INPUTS, 0, 0, 0, 0];
         let entry = |index: u8, bits| [index, 0x60, 0, 0, 0, bits, 0, 0];
         let records = [
             object(0, 2),

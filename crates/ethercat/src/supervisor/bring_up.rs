@@ -16,7 +16,7 @@ use super::super::error::BusError;
 use super::super::event::{BusEvent, Step, WantedValue};
 use super::super::mailbox::Mailbox;
 use super::super::process_data;
-use super::super::slave::{Condition, Slave};
+use super::super::slave::{Condition, Slave, SlaveData};
 use super::super::slave_set::SlaveSet;
 use super::super::state::{self, AlReport, AlState};
 use super::super::wire::sii::PROTOCOL_COE;
@@ -367,7 +367,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         };
         let wanted = product(self.slaves.get(number)?);
         let mut others = self.slaves.iter().enumerate().filter(|(other, _)| *other != number);
-        others.find_map(|(_, other)| other.process_data.filter(|_| product(other) == wanted))
+        others.find_map(|(_, other)| other.data.of_driver().filter(|_| product(other) == wanted).copied())
     }
 
     /// Takes a slave from PREOP to SAFEOP with settings, process data and watchdogs.
@@ -385,11 +385,11 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         if slave.has_own_data() {
             self.find_own_data(number).await.map_err(at(Step::Objects))?;
         } else if let Some(device) = slave.device {
-            let mut there = PreOperational::new(port, station, &mut slave.mailbox, self.setup.cycle_ns);
+            let windows = twin.map(|twin| twin.windows);
+            let mut there = PreOperational::new(port, station, &mut slave.mailbox, self.setup.cycle_ns, windows);
             let configured = F::configure(&self.setup.settings, device, slave.member, &mut there, twin.as_ref());
-            if let Some(data) = configured.await.map_err(at(Step::Objects))? {
-                slave.process_data = Some(data);
-            }
+            let data = configured.await.map_err(at(Step::Objects))?;
+            slave.data = data.map_or(SlaveData::Unknown, SlaveData::OfDriver);
         }
         self.check_plan().map_err(Failure::of(position, Step::ProcessData))?;
         let Self { port, slaves, .. } = self;
@@ -460,20 +460,20 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let data = data.await?;
         if let Some((first, second)) = shared_output(&setup.values, values, place) {
             // Neither of them may set the output.
-            slave.own_data = None;
+            slave.data = SlaveData::Unknown;
             return Err(BusError::SharedOutput { first, second });
         }
         if slave.is_terminal {
             let had_some = exchanged.contains(number);
-            if let Some(error) = other_length(slave.own_data.filter(|_| had_some), &data, had_some) {
-                slave.own_data = None;
+            if let Some(error) = other_length(slave.data.own().copied().filter(|_| had_some), &data, had_some) {
+                slave.data = SlaveData::Unknown;
                 return Err(error);
             }
             if data != OwnData::default() {
                 *exchanged |= SlaveSet::of(number);
             }
         }
-        slave.own_data = Some(data);
+        slave.data = SlaveData::Own(data);
         Ok(())
     }
 
@@ -486,8 +486,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             .iter()
             .any(|wanted| usize::from(wanted.slave) == number);
         let slave = self.slaves.get_mut(number).filter(|slave| slave.is_terminal);
-        let empty = slave.filter(|slave| is_wanted && slave.own_data == Some(OwnData::default()));
-        empty.is_some_and(|slave| slave.own_data.take().is_some())
+        let empty = slave.filter(|slave| is_wanted && slave.data == SlaveData::Own(OwnData::default()));
+        empty.is_some_and(|slave| core::mem::take(&mut slave.data).is_known())
     }
 
     /// Takes a slave in use from SAFEOP to OP, once its inputs arrive and outputs have been sent for a while. The plan
@@ -527,11 +527,11 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let Some(slave) = slaves.get_mut(number) else {
             return Ok(());
         };
-        let (Some(data), Some(device), Some(member)) = (slave.process_data, slave.device, slave.member) else {
+        let (Some(data), Some(device), Some(member)) = (slave.data.of_driver().copied(), slave.device, slave.member) else {
             return Ok(());
         };
         let station = slave.station();
-        let mut there = PreOperational::new(port, station, &mut slave.mailbox, setup.cycle_ns);
+        let mut there = PreOperational::new(port, station, &mut slave.mailbox, setup.cycle_ns, Some(data.windows));
         F::confirm(&setup.settings, device, member, &mut there, &data).await
     }
 
@@ -591,8 +591,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             }
         }
         for slave in &mut self.slaves {
-            (slave.member, slave.process_data) = (None, None);
-            (slave.is_terminal, slave.own_data) = (false, None);
+            (slave.member, slave.is_terminal) = (None, false);
+            slave.data = SlaveData::Unknown;
             slave.condition = match slave.condition {
                 Condition::Lost => Condition::Lost,
                 _ => Condition::Unused,

@@ -11,7 +11,7 @@ use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
 use super::super::event::{BusEvent, BusSetup, Step};
 use super::super::process_data;
-use super::super::slave::{Condition, Slave};
+use super::super::slave::{Condition, Slave, SlaveData};
 use super::super::slave_set::SlaveSet;
 use super::super::state::{AlReport, AlState};
 use super::super::wire::{Address, Command, register};
@@ -141,7 +141,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         let Some(slave) = self.slaves.get_mut(number) else {
             return;
         };
-        slave.own_data = None;
+        slave.data = SlaveData::Unknown;
         if !matches!(slave.condition, Condition::Lost | Condition::Returned) {
             slave.condition = Condition::LeftOperational;
         }

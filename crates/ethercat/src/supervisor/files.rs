@@ -15,7 +15,7 @@ use super::super::error::BusError;
 use super::super::event::{BusEvent, Step};
 use super::super::foe::FileAccess;
 use super::super::mailbox::Mailbox;
-use super::super::slave::Condition;
+use super::super::slave::{Condition, SlaveData};
 use super::super::state::{self, AlReport, AlState};
 use super::super::wire::read_u16;
 use super::super::wire::sii::{FixedPart, MailboxWindow, PROTOCOL_FOE, WORD_BOOTSTRAP_OUT};
@@ -227,7 +227,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         if slave.is_used() {
             slave.condition = Condition::Parked;
         } else {
-            (slave.process_data, slave.own_data) = (None, None);
+            slave.data = SlaveData::Unknown;
         }
         state::change(port, station, AlState::Init).await?;
         slave.report = AlReport::default();

@@ -16,7 +16,7 @@ use super::super::configure::{discovery, information};
 use super::super::driver::SlaveFactory;
 use super::super::error::{BusError, IdentityProperty};
 use super::super::event::Step;
-use super::super::slave::{Condition, Slave};
+use super::super::slave::{Condition, Slave, SlaveData};
 use super::super::slave_set::SlaveSet;
 use super::super::state::{self, AlReport, AlState};
 use super::super::wire::sii::{FixedPart, Identity};
@@ -369,8 +369,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
     pub(super) fn take_place(&mut self, number: usize, fixed: FixedPart, known: KnownIdentity) {
         if let Some(slave) = self.slaves.get_mut(number) {
             if slave.fixed.identity != fixed.identity {
-                (slave.device, slave.process_data) = (F::by_identity(&fixed.identity), None);
-                slave.own_data = None;
+                (slave.device, slave.data) = (F::by_identity(&fixed.identity), SlaveData::Unknown);
                 self.exchanged = self.exchanged.without(SlaveSet::of(number));
             }
             (slave.fixed, slave.known) = (fixed, known);

@@ -222,8 +222,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let Some(slave) = slaves.get_mut(number) else {
             return (0, 0);
         };
-        let is_known = (slave.process_data, slave.own_data) != (None, None);
-        if is_known || !slave.has_own_data() {
+        if slave.data.is_known() || !slave.has_own_data() {
             return slave.lengths();
         }
         let has_objects = slave.fixed.protocols & PROTOCOL_COE != 0 && slave.mailbox != Mailbox::default();

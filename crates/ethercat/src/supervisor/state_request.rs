@@ -10,7 +10,7 @@ use super::super::driver::SlaveFactory;
 use super::super::error::BusError;
 use super::super::event::BusEvent;
 use super::super::mailbox::Mailbox;
-use super::super::slave::Condition;
+use super::super::slave::{Condition, SlaveData};
 use super::super::state::{self, AlReport, AlState};
 use super::super::wire::sii::PROTOCOL_COE;
 use super::Failure;
@@ -94,7 +94,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
 
     fn forget_process_data(&mut self, number: usize) {
         if let Some(slave) = self.slaves.get_mut(number) {
-            (slave.process_data, slave.own_data) = (None, None);
+            slave.data = SlaveData::Unknown;
         }
     }
 
@@ -114,7 +114,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         };
         // The process data of another master are not known.
         let from = match from {
-            Some(AlState::SafeOperational) if (slave.process_data, slave.own_data) == (None, None) => {
+            Some(AlState::SafeOperational) if !slave.data.is_known() => {
                 state::change(&mut self.port, station, AlState::PreOperational).await?;
                 Some(AlState::PreOperational)
             }

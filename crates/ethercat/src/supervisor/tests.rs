@@ -10,7 +10,7 @@ use super::super::cyclic::{CyclicSlave, ExchangeEnd};
 use super::super::driver::ProcessData;
 use super::super::no_drivers::NoDrivers;
 use super::super::process_data::cyclic_slave;
-use super::super::slave::Slave;
+use super::super::slave::{Slave, SlaveData};
 use super::super::state::{AlReport, AlState};
 use super::super::wire::register::{DlStatus, ErrorCounters, PortErrors, PortStatus};
 use super::super::wire::{Address, Command, register};
@@ -175,11 +175,8 @@ fn operational(position: u16, member: Option<u8>) -> Slave<NoDrivers> {
     Slave {
         device: Some(()),
         member,
-        process_data: Some(ProcessData {
-            windows: Windows {
-                outputs: 0x1100,
-                inputs: 0x1180,
-            },
+        data: SlaveData::OfDriver(ProcessData {
+            windows: Windows::standard(0x1100, 0x1180),
             output_length: 6,
             input_length: 8,
             layout: (),

@@ -9,9 +9,9 @@ use crate::controller::silicon::Silicon;
 use crate::devices::{Device, Io, ProcessManager, ProcessManagers};
 use crate::eeprom::content::Content;
 use crate::eeprom::windows::{SyncManagerDefault, Windows};
-use crate::mailbox::dictionary::{DataType, Dictionary, Object, ObjectRow, Value, access, record, variable};
+use crate::mailbox::dictionary::{DataType, Dictionary, Object, ObjectRow, Value, access, variable};
 use crate::mailbox::live_objects::LiveObjects;
-use crate::mailbox::process_data::ProcessData;
+use crate::mailbox::process_data::{DataManagers, ProcessData};
 
 /// Addresses of process data if the image has no sync managers for them.
 const OUTPUTS_DEFAULT: u16 = 0x1100;
@@ -39,16 +39,6 @@ const OBJECTS: &[ObjectRow] = &[
             access::READ,
             Value::Number(0x0002_0192),
         )],
-    ),
-    record(
-        0x1C00,
-        "Sync manager types",
-        &[
-            (1, "Sync manager 0", DataType::Unsigned8, access::READ, Value::Number(1)),
-            (2, "Sync manager 1", DataType::Unsigned8, access::READ, Value::Number(2)),
-            (3, "Sync manager 2", DataType::Unsigned8, access::READ, Value::Number(3)),
-            (4, "Sync manager 3", DataType::Unsigned8, access::READ, Value::Number(4)),
-        ],
     ),
 ];
 
@@ -79,7 +69,7 @@ impl ImageDevice {
         Self {
             silicon,
             windows,
-            process_data: process_data(&content),
+            process_data: process_data(&content).carried_by(data_managers(&managers)),
             has_processor: !content.is_emulated,
             is_from_file: false,
             io: Io {
@@ -103,6 +93,14 @@ impl ImageDevice {
         Self {
             is_from_file: true,
             ..Self::new(image)
+        }
+    }
+
+    /// What each sync manager carries; the standard ones if the image lists none.
+    fn sync_manager_types(&self) -> Vec<u8> {
+        match self.content.sync_managers.as_slice() {
+            [] => DataManagers::default().types(),
+            listed => listed.iter().map(|manager| manager.kind).collect(),
         }
     }
 
@@ -198,7 +196,7 @@ fn process_managers(content: &Content, windows: &Windows) -> ProcessManagers {
     };
     if windows.has_mailbox() {
         let has_pdos = |number| content.pdo_bytes(number) > 0;
-        let standard = ProcessManagers::standard(windows);
+        let standard = ProcessManagers::of(windows, DataManagers::default());
         for (list, standard) in [
             (&mut managers.outputs, standard.outputs),
             (&mut managers.inputs, standard.inputs),
@@ -211,6 +209,17 @@ fn process_managers(content: &Content, windows: &Windows) -> ProcessManagers {
         }
     }
     managers
+}
+
+/// The first sync manager of each direction: those to which process data objects are assigned.
+fn data_managers(managers: &ProcessManagers) -> DataManagers {
+    let first = |list: &[ProcessManager]| list.first().and_then(|manager| u8::try_from(manager.number).ok());
+    let standard = DataManagers::default();
+    let (outputs, inputs) = (first(&managers.outputs), first(&managers.inputs));
+    DataManagers {
+        outputs: outputs.unwrap_or(standard.outputs),
+        inputs: inputs.unwrap_or(standard.inputs),
+    }
 }
 
 fn process_data(content: &Content) -> ProcessData {
@@ -263,6 +272,7 @@ impl Device for ImageDevice {
         self.objects.iter().for_each(|object| dictionary.put(object.clone()));
         let mut derived = Dictionary::default();
         derived.add_identity(&self.content.fixed.identity);
+        derived.add_sync_manager_types(&self.sync_manager_types());
         self.process_data.describe(&mut derived);
         derived.into_objects().for_each(|object| dictionary.put(object));
         dictionary

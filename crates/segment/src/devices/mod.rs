@@ -18,7 +18,7 @@ use crate::drive::servo::{Emergency, Servo};
 use crate::eeprom::windows::Windows;
 use crate::mailbox::dictionary::Dictionary;
 use crate::mailbox::live_objects::LiveObjects;
-use crate::mailbox::process_data::ProcessData;
+use crate::mailbox::process_data::{DataManagers, ProcessData};
 use std::fmt;
 
 /// Sync manager of process data.
@@ -42,16 +42,16 @@ pub(crate) struct ProcessManagers {
 }
 
 impl ProcessManagers {
-    /// Sync managers 2 and 3, behind those of a mailbox, with lengths that follow the assigned PDOs.
-    pub(crate) fn standard(windows: &Windows) -> Self {
-        let manager = |number, start: u16| ProcessManager {
-            number,
+    /// One sync manager for each direction, with a length that follows the assigned PDOs.
+    pub(crate) fn of(windows: &Windows, managers: DataManagers) -> Self {
+        let manager = |number: u8, start: u16| ProcessManager {
+            number: number.into(),
             start: start.into(),
             bytes: None,
         };
         Self {
-            outputs: vec![manager(2, windows.outputs)],
-            inputs: vec![manager(3, windows.inputs)],
+            outputs: vec![manager(managers.outputs, windows.outputs)],
+            inputs: vec![manager(managers.inputs, windows.inputs)],
         }
     }
 }
@@ -87,7 +87,7 @@ pub(crate) trait Device: LiveObjects + fmt::Debug + Send {
     fn process_data(&self) -> ProcessData;
     /// Sync managers of the process data.
     fn process_managers(&self) -> ProcessManagers {
-        ProcessManagers::standard(&self.windows())
+        ProcessManagers::of(&self.windows(), self.process_data().managers())
     }
     /// Whether the device works with these process data.
     fn accepts(&self, _process_data: &ProcessData) -> bool {
@@ -127,6 +127,8 @@ pub(crate) trait Device: LiveObjects + fmt::Debug + Send {
     fn servo_mut(&mut self) -> Option<&mut Servo> {
         None
     }
+    /// Carries the process data in other sync managers. No effect on a device that is not a drive.
+    fn set_managers(&mut self, _managers: DataManagers) {}
     /// Gives the device another serial number than that of its kind.
     fn set_serial(&mut self, _serial: u32) {}
     /// A copy of the device.

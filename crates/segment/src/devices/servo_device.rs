@@ -10,9 +10,9 @@ use crate::drive::servo::{Emergency, Servo};
 use crate::eeprom::sii::{self, Description};
 use crate::eeprom::windows::Windows;
 use crate::mailbox::abort::Abort;
-use crate::mailbox::dictionary::{DataType, Dictionary, ObjectRow, Value, access, record, variable};
+use crate::mailbox::dictionary::{DataType, Dictionary, ObjectRow, Value, access, variable};
 use crate::mailbox::live_objects::LiveObjects;
-use crate::mailbox::process_data::ProcessData;
+use crate::mailbox::process_data::{DataManagers, ProcessData};
 use DataType::{Integer16, Integer32, Unsigned8, Unsigned16, Unsigned32};
 use Value::{Live, Number};
 use access::{READ, READ_WRITE, TX};
@@ -32,16 +32,6 @@ const COMMON_OBJECTS: &[ObjectRow] = &[
         0x1001,
         "Error register",
         &[(0, "Error register", Unsigned8, READ, Live)],
-    ),
-    record(
-        0x1C00,
-        "Sync manager types",
-        &[
-            (1, "Sync manager 0", Unsigned8, READ, Number(1)),
-            (2, "Sync manager 1", Unsigned8, READ, Number(2)),
-            (3, "Sync manager 2", Unsigned8, READ, Number(3)),
-            (4, "Sync manager 3", Unsigned8, READ, Number(4)),
-        ],
     ),
     variable(
         0x6041,
@@ -98,13 +88,19 @@ pub(crate) struct ServoDevice {
     model: &'static Model,
     servo: Servo,
     serial: u32,
+    managers: DataManagers,
 }
 
 impl ServoDevice {
     /// A drive of this type with this serial number.
     pub(crate) fn new(model: &'static Model, mut servo: Servo, serial: u32) -> Self {
         servo.drive = servo.drive.with_profile(model.profile);
-        Self { model, servo, serial }
+        Self {
+            model,
+            servo,
+            serial,
+            managers: DataManagers::default(),
+        }
     }
 
     fn identity(&self) -> Identity {
@@ -148,7 +144,11 @@ impl Device for ServoDevice {
     }
 
     fn silicon(&self) -> Silicon {
-        self.model.silicon
+        let silicon = self.model.silicon;
+        Silicon {
+            sync_managers: silicon.sync_managers.max(self.managers.count()),
+            ..silicon
+        }
     }
 
     fn accepts(&self, process_data: &ProcessData) -> bool {
@@ -160,7 +160,7 @@ impl Device for ServoDevice {
     }
 
     fn process_data(&self) -> ProcessData {
-        (self.model.process_data)()
+        (self.model.process_data)().carried_by(self.managers)
     }
 
     fn dictionary(&self) -> Dictionary {
@@ -168,8 +168,13 @@ impl Device for ServoDevice {
         dictionary.add_table(COMMON_OBJECTS);
         dictionary.add_table(self.model.objects);
         dictionary.add_identity(&self.identity());
+        dictionary.add_sync_manager_types(&self.managers.types());
         self.process_data().describe(&mut dictionary);
         dictionary
+    }
+
+    fn set_managers(&mut self, managers: DataManagers) {
+        self.managers = managers;
     }
 
     fn set_serial(&mut self, serial: u32) {

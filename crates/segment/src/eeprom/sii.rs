@@ -89,13 +89,14 @@ pub(crate) struct ClockMode {
 }
 
 impl Description<'_> {
-    /// Describes process data behind a mailbox: outputs in sync manager 2, inputs in sync manager 3.
+    /// Describes process data behind a mailbox.
     pub(crate) fn with_mailbox(self, windows: Windows, process_data: &ProcessData) -> Self {
+        let managers = process_data.managers();
         let described = |pdo: &Pdo| PdoDescription {
             manager: match (process_data.is_assigned(pdo.index), pdo.is_output()) {
                 (false, _) => NOT_ASSIGNED,
-                (true, true) => 2,
-                (true, false) => 3,
+                (true, true) => managers.outputs,
+                (true, false) => managers.inputs,
             },
             pdo: pdo.clone(),
             mandatory: false,
@@ -104,7 +105,7 @@ impl Description<'_> {
             configuration: CONFIGURATION_PROCESSOR,
             windows,
             fmmus: &[1, 2, 3, 0],
-            sync_managers: windows.sync_managers(process_data.bytes()),
+            sync_managers: windows.sync_managers(&managers.types(), process_data.bytes()),
             pdos: process_data.pdos().iter().map(described).collect(),
             ..self
         }

@@ -44,22 +44,27 @@ impl Windows {
         self.mailbox_out.length > 0 && self.mailbox_in.length > 0
     }
 
-    /// The four sync managers of a slave with a mailbox, as the information image describes them.
-    pub(crate) fn sync_managers(&self, bytes: (usize, usize)) -> Vec<SyncManagerDefault> {
-        let manager = |start, length, control, kind| SyncManagerDefault {
-            start,
-            length,
-            control,
-            activate: 1,
-            kind,
-        };
+    /// The sync managers of a slave with a mailbox, as the information image describes them. `types`: as object 0x1C00 tells
+    /// them; `bytes`: those of outputs and inputs.
+    pub(crate) fn sync_managers(&self, types: &[u8], bytes: (usize, usize)) -> Vec<SyncManagerDefault> {
         let (outputs, inputs) = bytes;
-        vec![
-            manager(self.mailbox_out.start, self.mailbox_out.length, CONTROL_MAILBOX_OUT, 1),
-            manager(self.mailbox_in.start, self.mailbox_in.length, CONTROL_MAILBOX_IN, 2),
-            manager(self.outputs, outputs as u16, CONTROL_OUTPUTS, 3),
-            manager(self.inputs, inputs as u16, CONTROL_INPUTS, 4),
-        ]
+        let manager = |kind: &u8| {
+            let (start, length, control) = match kind {
+                1 => (self.mailbox_out.start, self.mailbox_out.length, CONTROL_MAILBOX_OUT),
+                2 => (self.mailbox_in.start, self.mailbox_in.length, CONTROL_MAILBOX_IN),
+                3 => (self.outputs, outputs as u16, CONTROL_OUTPUTS),
+                4 => (self.inputs, inputs as u16, CONTROL_INPUTS),
+                _ => (0, 0, 0),
+            };
+            SyncManagerDefault {
+                start,
+                length,
+                control,
+                activate: u8::from(*kind != 0),
+                kind: *kind,
+            }
+        };
+        types.iter().map(manager).collect()
     }
 }
 

@@ -327,6 +327,16 @@ impl Dictionary {
         self.add_numbers(0x1018, "Identity", &numbers);
     }
 
+    /// Adds the object that tells what each sync manager carries (CiA 301: 0x1C00).
+    pub(crate) fn add_sync_manager_types(&mut self, types: &[u8]) {
+        let names: Vec<String> = (0..types.len()).map(|number| format!("Sync manager {number}")).collect();
+        let numbers = names.iter().zip(types);
+        let numbers: Vec<(&str, DataType, i64)> = numbers
+            .map(|(name, kind)| (name.as_str(), DataType::Unsigned8, i64::from(*kind)))
+            .collect();
+        self.add_numbers(0x1C00, "Sync manager types", &numbers);
+    }
+
     /// Adds an object whose values are a list of the process data.
     pub(crate) fn add_list(&mut self, list: &List) {
         let entry = |sub, name: &str, kind| ObjectEntry {

@@ -1,6 +1,6 @@
 //! Process-data objects of a slave: assignment, mapping and content.
 //!
-//! Objects 0x1C12 and 0x1C13 list the assigned process-data objects (PDOs); 0x16xx and 0x1Axx map entries of the object
+//! Object 0x1C10 + the number of a sync manager lists the process-data objects (PDOs) assigned to it; 0x16xx and 0x1Axx map entries of the object
 //! dictionary into them, the first entry at the lowest bits. A list is written by setting its count to 0, writing the
 //! entries and setting the count again. Layout: CiA 301, PDO mapping; IEC 61158-6-12, sync manager PDO assignment.
 
@@ -8,6 +8,7 @@ use crate::bits::{bit, set_bit};
 use crate::mailbox::abort::Abort;
 use crate::mailbox::dictionary::{DataType, Dictionary, List, ObjectCode, access};
 use crate::mailbox::live_objects::LiveObjects;
+use std::ops::RangeInclusive;
 
 /// One mapped entry; index 0 is a gap.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -83,22 +84,66 @@ struct Assignment {
     pdos: Vec<u16>,
 }
 
+/// Numbers of the sync managers that carry the process data, one for each direction.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct DataManagers {
+    /// That of the outputs.
+    pub outputs: u8,
+    /// That of the inputs.
+    pub inputs: u8,
+}
+
+impl Default for DataManagers {
+    /// Those behind the two of a mailbox, as IEC 61158-6-12 numbers them.
+    fn default() -> Self {
+        Self { outputs: 2, inputs: 3 }
+    }
+}
+
+impl DataManagers {
+    /// Numbers that may be chosen: those behind a mailbox that controllers with 8 sync managers have.
+    const CHOICE: RangeInclusive<u8> = 2..=7;
+
+    /// The sync managers with these numbers: `None` for one number for both directions, or one that is not from 2 to 7.
+    pub fn new(outputs: u8, inputs: u8) -> Option<Self> {
+        let is_possible = outputs != inputs && Self::CHOICE.contains(&outputs) && Self::CHOICE.contains(&inputs);
+        is_possible.then_some(Self { outputs, inputs })
+    }
+
+    /// Number of sync managers up to the last one.
+    pub(crate) fn count(self) -> u8 {
+        self.outputs.max(self.inputs) + 1
+    }
+
+    /// What each sync manager of a slave with a mailbox carries, as object 0x1C00 tells it: 1 and 2 the mailbox, 3 outputs, 4
+    /// inputs, 0 nothing.
+    pub(crate) fn types(self) -> Vec<u8> {
+        let kind = |number| match number {
+            0 => 1,
+            1 => 2,
+            number if number == self.outputs => 3,
+            number if number == self.inputs => 4,
+            _ => 0,
+        };
+        (0..self.count()).map(kind).collect()
+    }
+}
+
 /// Assignment and mapping of one slave.
 #[derive(Clone, Debug, Default)]
 pub(crate) struct ProcessData {
     pdos: Vec<Pdo>,
     outputs: Assignment,
     inputs: Assignment,
+    managers: DataManagers,
     assigned_max: usize,
     /// Most bytes of a PDO whose mapping is written.
     mapped_bytes_max: usize,
 }
 
 impl ProcessData {
-    /// Object that assigns outputs.
-    pub(crate) const OUTPUTS: u16 = 0x1C12;
-    /// Object that assigns inputs.
-    pub(crate) const INPUTS: u16 = 0x1C13;
+    /// Object that assigns process data to sync manager 0; those of the others follow.
+    const ASSIGNMENT: u16 = 0x1C10;
     /// Most entries of an assignment object.
     pub(crate) const ASSIGNED_MAX: u8 = 4;
     /// Most entries of a mapping object.
@@ -116,6 +161,7 @@ impl ProcessData {
             pdos,
             outputs: assignment(outputs),
             inputs: assignment(inputs),
+            managers: DataManagers::default(),
             assigned_max,
             mapped_bytes_max: Self::BYTES_MAX,
         }
@@ -127,6 +173,16 @@ impl ProcessData {
             mapped_bytes_max,
             ..self
         }
+    }
+
+    /// These process data in other sync managers.
+    pub(crate) fn carried_by(self, managers: DataManagers) -> Self {
+        Self { managers, ..self }
+    }
+
+    /// The sync managers that carry them.
+    pub(crate) fn managers(&self) -> DataManagers {
+        self.managers
     }
 
     /// All PDOs.
@@ -175,17 +231,18 @@ impl ProcessData {
     /// Writes an entry of an assignment or mapping object.
     pub(crate) fn set(&mut self, index: u16, sub: u8, number: i64, dictionary: &Dictionary) -> Result<(), Abort> {
         let at = usize::from(sub).checked_sub(1);
-        match (index, at) {
-            (Self::OUTPUTS | Self::INPUTS, None) => self.set_assigned_count(index, number),
-            (Self::OUTPUTS | Self::INPUTS, Some(at)) => self.assign(index, at, number),
-            (_, None) => self.set_mapped_count(index, number),
-            (_, Some(at)) => self.map(index, at, number, dictionary),
+        match (self.assignment(index).is_some(), at) {
+            (true, None) => self.set_assigned_count(index, number),
+            (true, Some(at)) => self.assign(index, at, number),
+            (false, None) => self.set_mapped_count(index, number),
+            (false, Some(at)) => self.map(index, at, number, dictionary),
         }
     }
 
     /// Adds the assignment and mapping objects to a dictionary.
     pub(crate) fn describe(&self, dictionary: &mut Dictionary) {
-        for (index, name) in [(Self::OUTPUTS, "RxPDO assign"), (Self::INPUTS, "TxPDO assign")] {
+        let [outputs, inputs] = self.assignment_objects();
+        for (index, name) in [(outputs, "RxPDO assign"), (inputs, "TxPDO assign")] {
             dictionary.add_list(&List {
                 index,
                 name,
@@ -261,11 +318,18 @@ impl ProcessData {
     }
 
     fn assignment(&self, index: u16) -> Option<&Assignment> {
+        let [outputs, inputs] = self.assignment_objects();
         match index {
-            Self::OUTPUTS => Some(&self.outputs),
-            Self::INPUTS => Some(&self.inputs),
+            index if index == outputs => Some(&self.outputs),
+            index if index == inputs => Some(&self.inputs),
             _ => None,
         }
+    }
+
+    /// Objects that assign outputs and inputs.
+    fn assignment_objects(&self) -> [u16; 2] {
+        let DataManagers { outputs, inputs } = self.managers;
+        [outputs, inputs].map(|number| Self::ASSIGNMENT + u16::from(number))
     }
 
     fn pdo(&self, index: u16) -> Option<&Pdo> {
@@ -305,7 +369,8 @@ impl ProcessData {
 
     fn assign(&mut self, index: u16, at: usize, number: i64) -> Result<(), Abort> {
         let pdo = u16::try_from(number).map_err(|_| Abort::VALUE)?;
-        let is_output = index == Self::OUTPUTS;
+        let [outputs, _] = self.assignment_objects();
+        let is_output = index == outputs;
         if at >= self.assigned_max {
             return Err(Abort::NO_SUB_INDEX);
         }
@@ -372,7 +437,8 @@ impl ProcessData {
     }
 
     fn list_mut(&mut self, index: u16) -> &mut Assignment {
-        if index == Self::OUTPUTS {
+        let [outputs, _] = self.assignment_objects();
+        if index == outputs {
             &mut self.outputs
         } else {
             &mut self.inputs

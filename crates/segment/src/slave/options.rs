@@ -2,6 +2,7 @@
 
 use crate::controller::silicon::{ClockWidth, ControllerType};
 use crate::drive::OneTurn;
+use crate::mailbox::process_data::DataManagers;
 
 /// Properties of a slave's processor; they mean nothing for a slave that has none.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -36,6 +37,8 @@ pub struct PlaceOptions {
     /// Type of the slave controller; `None` for the one that the information memory suggests. No effect on a kind that is not
     /// from a file.
     pub controller: Option<ControllerType>,
+    /// Sync managers that carry the drive's process data; `None` for 2 and 3. No effect on other slaves.
+    pub managers: Option<DataManagers>,
     /// Password of the files (FoE); 0 for none. No effect on a kind without files.
     pub password: u32,
     /// Whether the drive counts one motor turn only. No effect on a drive that counts one turn by itself (AX2000) and on other

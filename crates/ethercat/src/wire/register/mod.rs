@@ -186,6 +186,10 @@ pub const CONTROL_MAILBOX_IN: u8 = 0x22;
 pub const CONTROL_OUTPUTS: u8 = 0x64;
 /// Sync manager control: three buffers that the master reads, with an event.
 pub const CONTROL_INPUTS: u8 = 0x20;
+/// Sync manager control: bits of the direction; 0 if the master reads.
+pub const CONTROL_DIRECTION: u8 = 0x0C;
+/// Sync manager control: the direction of what the master writes.
+pub const CONTROL_MASTER_WRITES: u8 = 0x04;
 
 /// Address of a sync manager's registers.
 pub const fn sync_manager(number: u8) -> u16 {
