@@ -28,8 +28,8 @@ pub struct Arguments {
     /// sii:FILE or esi:FILE#DEVICE (DEVICE: type or product code, with :REVISION if need be), with *N for N of a kind,
     /// for instance ax2000*4,ek1100,el2004. Settings of a slave follow its kind: @name=NAME (for commands), @alias=N,
     /// @serial=N, @id=N (its switches), @password=N (of its files), @clock=32 or 64,
-    /// @controller=et1100, lan9252 or akd (of a slave from a file), @range=turn (a drive whose
-    /// position counts one motor turn; untold: without saying so), @lock=MS (its clock follows the reference clock that
+    /// @controller=et1100, lan9252 or akd (of a slave from a file), @managers=OUT/IN (the sync managers, 2 to 7,
+    /// of a drive's outputs and inputs), @range=turn (a drive whose position counts one motor turn; untold: without saying so), @lock=MS (its clock follows the reference clock that
     /// slowly), @lrw=no (its controller lets LRW pass), @units=pairs (it takes writes of at most two FMMUs or sync managers),
     /// @boot=MS, @transition=MS, @mailbox=MS, @sii=needed (its processor reads the information memory itself), for instance ax2000@alias=3@serial=7. Branches follow a slave in parentheses, at port
     /// 2, then 3, or with their port: ek1100,ek1122(ax2000*2)(3:cia402),el1008. Default: an AX2000 for each configured
