@@ -243,6 +243,10 @@ pub(crate) fn drives_move_whichever_of_their_sync_managers_carry_the_process_dat
             }
         }
         let counters = bus.group.exchange().counters();
-        assert_eq!((counters.frames_lost, counters.working_counter_errors), (0, 0), "{managers:?}");
+        assert_eq!(
+            (counters.frames_lost, counters.working_counter_errors),
+            (0, 0),
+            "{managers:?}"
+        );
     }
 }

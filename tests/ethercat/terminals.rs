@@ -269,7 +269,10 @@ pub(crate) fn a_terminal_exchanges_its_data_in_however_many_sync_managers_they_a
             let (read, written) = (random_bytes(inputs), random_bytes(outputs));
             rig.cell.set_inputs(slave + 1, &read);
             for (at, value) in (0..).zip(&written) {
-                assert!(rig.set_output_bits(slave, 8 * at, 8, (*value).into()), "seed {seed}: {list:?}");
+                assert!(
+                    rig.set_output_bits(slave, 8 * at, 8, (*value).into()),
+                    "seed {seed}: {list:?}"
+                );
             }
             for _ in 0..THROUGH_MS {
                 rig.undisturbed_ms("an exchange");
@@ -279,7 +282,11 @@ pub(crate) fn a_terminal_exchanges_its_data_in_however_many_sync_managers_they_a
             assert_eq!(acted, written, "seed {seed}: {list:?}");
         }
         let counters = rig.counters();
-        assert_eq!((counters.frames_lost, counters.working_counter_errors), (0, 0), "seed {seed}: {list:?}");
+        assert_eq!(
+            (counters.frames_lost, counters.working_counter_errors),
+            (0, 0),
+            "seed {seed}: {list:?}"
+        );
     }
 }
 

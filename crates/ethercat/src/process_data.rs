@@ -3,8 +3,8 @@
 //! Invariant: the shares of two slaves never overlap.
 
 use crate::acyclic::{AcyclicPort, Request};
-use crate::configure::own_data::OwnData;
 use crate::configure::discovery::write_managers;
+use crate::configure::own_data::OwnData;
 use crate::configure::{Direction, Windows};
 use crate::cyclic::{CyclicSlave, SPAN_BYTES_MAX};
 use crate::driver::{ProcessData, Role, SlaveFactory};
@@ -79,7 +79,10 @@ async fn set_up_of_driver<F: SlaveFactory, const MESSAGE: usize>(
     data: &ProcessData<F>,
     watchdog_ms: u16,
 ) -> Result<(), BusError> {
-    let Windows { outputs: to, inputs: from } = data.windows;
+    let Windows {
+        outputs: to,
+        inputs: from,
+    } = data.windows;
     let station = slave.station();
     watchdogs(port, station, watchdog_ms).await?;
     let (outputs, inputs) = (data.output_length, data.input_length);
@@ -213,7 +216,11 @@ mod tests {
 
     #[test]
     fn a_slave_gets_sync_managers_and_mappings_that_are_on_only_where_it_has_bytes() {
-        let pairs = |values: Range<u16>| values.clone().flat_map(move |one| values.clone().map(move |other| (one, other)));
+        let pairs = |values: Range<u16>| {
+            values
+                .clone()
+                .flat_map(move |one| values.clone().map(move |other| (one, other)))
+        };
         let numbers = pairs(2..8).filter(|(to, from)| to != from);
         let cases = numbers.flat_map(|numbers| pairs(0..4).map(move |lengths| (numbers, lengths)));
         for ((to, from), (outputs, inputs)) in cases {
@@ -245,7 +252,11 @@ mod tests {
             let others = (0..8).filter(|number| ![to, from].contains(number));
             for number in others {
                 let at = usize::from(register::sync_manager(number as u8));
-                assert_eq!(registers[at..at + SYNC_MANAGER_LEN], [0xFF; SYNC_MANAGER_LEN], "{what}: {number}");
+                assert_eq!(
+                    registers[at..at + SYNC_MANAGER_LEN],
+                    [0xFF; SYNC_MANAGER_LEN],
+                    "{what}: {number}"
+                );
             }
         }
     }

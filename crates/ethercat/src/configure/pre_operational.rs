@@ -570,7 +570,6 @@ mod tests {
         }
     }
 
-
     #[test]
     fn a_process_data_object_without_entries_in_the_sii_does_not_count() {
         let object = |index: u8, entries| [index, 0x1A, entries, INPUTS, 0, 0, 0, 0];

@@ -527,7 +527,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         let Some(slave) = slaves.get_mut(number) else {
             return Ok(());
         };
-        let (Some(data), Some(device), Some(member)) = (slave.data.of_driver().copied(), slave.device, slave.member) else {
+        let (Some(data), Some(device), Some(member)) = (slave.data.of_driver().copied(), slave.device, slave.member)
+        else {
             return Ok(());
         };
         let station = slave.station();

@@ -28,19 +28,17 @@ const UNITS_MAX: u8 = 8;
 /// Size of a blank information memory.
 const BLANK_BYTES: usize = 2048;
 
-const OBJECTS: &[ObjectRow] = &[
-    variable(
-        0x1000,
+const OBJECTS: &[ObjectRow] = &[variable(
+    0x1000,
+    "Device type",
+    &[(
+        0,
         "Device type",
-        &[(
-            0,
-            "Device type",
-            DataType::Unsigned32,
-            access::READ,
-            Value::Number(0x0002_0192),
-        )],
-    ),
-];
+        DataType::Unsigned32,
+        access::READ,
+        Value::Number(0x0002_0192),
+    )],
+)];
 
 /// The device behind one slave controller.
 #[derive(Clone, Debug)]

@@ -329,7 +329,9 @@ impl Dictionary {
 
     /// Adds the object that tells what each sync manager carries (CiA 301: 0x1C00).
     pub(crate) fn add_sync_manager_types(&mut self, types: &[u8]) {
-        let names: Vec<String> = (0..types.len()).map(|number| format!("Sync manager {number}")).collect();
+        let names: Vec<String> = (0..types.len())
+            .map(|number| format!("Sync manager {number}"))
+            .collect();
         let numbers = names.iter().zip(types);
         let numbers: Vec<(&str, DataType, i64)> = numbers
             .map(|(name, kind)| (name.as_str(), DataType::Unsigned8, i64::from(*kind)))

@@ -72,7 +72,10 @@ pub(crate) struct Slave {
 impl Slave {
     /// A slave after power-up, with a clock of this width unless its place or its kind has another.
     pub(crate) fn new(mut device: Box<dyn Device>, place: PlaceOptions, width: ClockWidth, nature: Nature) -> Self {
-        place.managers.iter().for_each(|managers| device.set_managers(*managers));
+        place
+            .managers
+            .iter()
+            .for_each(|managers| device.set_managers(*managers));
         let lock_ns = place
             .lock_ms
             .map_or(nature.lock_ns, |ms| 1_000_000 * i64::from(ms.max(1)));
