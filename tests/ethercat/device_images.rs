@@ -146,19 +146,20 @@ fn beckhoff(file: &'static str, configuration: [u16; 4], product: u32, revision:
 /// A terminal with so many bytes of outputs and inputs, each in a sync manager of its own; with distributed clocks or
 /// without.
 pub(crate) fn terminal_of_bytes(outputs: u16, inputs: u16, clock: bool) -> Vec<u8> {
-    terminal_of_managers(&[(Direction::Outputs, outputs), (Direction::Inputs, inputs)], clock)
+    terminal_of_managers(&[(Direction::Outputs, outputs), (Direction::Inputs, inputs)], 2, clock)
 }
 
-/// A terminal with sync managers of so many bytes in this order, without those of 0 bytes; with distributed clocks or without.
-pub(crate) fn terminal_of_managers(list: &[(Direction, u16)], clock: bool) -> Vec<u8> {
+/// A terminal with sync managers of so many bytes in this order, without those of 0 bytes, and at most so many FMMUs; with
+/// distributed clocks or without. The control bytes of some are for the other direction.
+pub(crate) fn terminal_of_managers(list: &[(Direction, u16)], fmmus: usize, clock: bool) -> Vec<u8> {
     // Three buffers of up to 42 bytes each.
     let all = (0x1000..).step_by(0x80).zip(list);
     let all = all.map(|(start, (direction, bytes))| match direction {
-        Direction::Outputs => (start, *bytes, 0x64, 0x09, 3),
-        Direction::Inputs => (start, *bytes, 0x20, 0x09, 4),
+        Direction::Outputs => (start, *bytes, if start == 0x1100 { 0x60 } else { 0x64 }, 0x09, 3),
+        Direction::Inputs => (start, *bytes, if start == 0x1100 { 0x64 } else { 0x20 }, 0x09, 4),
     });
     let used: Vec<_> = all.filter(|(_, bytes, ..)| *bytes > 0).collect();
-    let mut units: Vec<u8> = used.iter().map(|(.., usage)| usage - 2).collect();
+    let mut units: Vec<u8> = used.iter().map(|(.., usage)| usage - 2).take(fmmus).collect();
     units.resize(units.len().next_multiple_of(2), 0xFF);
     let configuration = if clock { 0x0D04 } else { 0x0104 };
     let description = Description {

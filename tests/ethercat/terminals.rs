@@ -251,7 +251,7 @@ pub(crate) fn a_terminal_exchanges_its_data_in_however_many_sync_managers_they_a
             of_wanted.map(|(_, bytes)| bytes).sum()
         };
         let (outputs, inputs) = (length(Direction::Outputs), length(Direction::Inputs));
-        let kind = SlaveKind::Sii(terminal_of_managers(&list, seed % 3 == 0).into());
+        let kind = SlaveKind::Sii(terminal_of_managers(&list, list.len(), seed % 3 == 0).into());
         let mut slaves = parse_slaves("ek1100,ax2000*4").unwrap();
         let slave = 1 + random.bits() as usize % 5;
         slaves.insert(slave, kind);
@@ -292,22 +292,27 @@ pub(crate) fn a_terminal_exchanges_its_data_in_however_many_sync_managers_they_a
 
 #[test]
 pub(crate) fn a_terminal_with_data_in_too_many_sync_managers_is_refused_and_the_drives_operate() {
-    let list = [(Direction::Inputs, 1); DATA_MANAGERS_MAX + 1];
-    let mut slaves = parse_slaves("ek1100,ax2000*4").unwrap();
-    slaves.insert(1, SlaveKind::Sii(terminal_of_managers(&list, false).into()));
-    let mut rig = rig_of(slaves, ExchangeKind::Split);
-    rig.start();
-    rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
-    rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
-    let refusal = |event: &BusEvent| match event {
-        BusEvent::TerminalRefused { position, error, .. } => Some((*position, *error)),
-        _ => None,
-    };
-    let expected = BusError::SyncManagers {
-        expected: DATA_MANAGERS_MAX as u8,
-        actual: DATA_MANAGERS_MAX as u8 + 1,
-    };
-    assert_eq!(rig.log.iter().find_map(refusal), Some((1, expected)));
+    // More than the master keeps, and more than the controller has FMMUs.
+    let most = DATA_MANAGERS_MAX as u8;
+    for (managers, fmmus) in [(most + 1, most + 1), (4, 3), (most, 4)] {
+        let list = vec![(Direction::Inputs, 1); managers.into()];
+        let mut slaves = parse_slaves("ek1100,ax2000*4").unwrap();
+        let terminal = terminal_of_managers(&list, fmmus.into(), false);
+        slaves.insert(1, SlaveKind::Sii(terminal.into()));
+        let mut rig = rig_of(slaves, ExchangeKind::Split);
+        rig.start();
+        rig.wait_for(BRING_UP_MS_MAX, |event| *event == BusEvent::Operational);
+        rig.lead(DriveTarget::Enabled, DriveState::OperationEnabled);
+        let refusal = |event: &BusEvent| match event {
+            BusEvent::TerminalRefused { position, error, .. } => Some((*position, *error)),
+            _ => None,
+        };
+        let expected = BusError::SyncManagers {
+            expected: fmmus.min(most),
+            actual: managers,
+        };
+        assert_eq!(rig.log.iter().find_map(refusal), Some((1, expected)));
+    }
 }
 
 /// Longest time until a terminal is back after an acknowledgement, ms.

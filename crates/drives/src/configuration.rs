@@ -20,7 +20,7 @@ const MODE_TIMEOUT_MS: u32 = 500;
 
 /// Chooses a drive's process data, writes its mode and its settings, and makes the layout.
 ///
-/// A drive that accepts the choice, as its twin has, gets the twin's layout; its lists are not read.
+/// A drive that accepts the choice, as its twin has, gets the twin's layout; its lists of objects are not read.
 ///
 /// # Errors
 /// [`BusError::Range`] when the drive lacks the mode or an object cannot take a value, [`BusError::Mapping`],
@@ -46,7 +46,10 @@ pub(crate) async fn used<F: SlaveFactory<Layout = ProcessLayout>, const MESSAGE:
     let is_equal =
         |twin: &&ProcessData<F>| is_chosen && twin.layout.has_found(CHOSEN) && twin.layout.mode == drive.mode;
     let mut data = match twin.filter(is_equal) {
-        Some(twin) => *twin,
+        Some(twin) => ProcessData {
+            windows: slave.windows(kind.windows).await?,
+            ..*twin
+        },
         None => lay_out(kind, drive.mode, mode, slave).await?,
     };
     data.layout.note(CHOSEN, is_chosen);

@@ -95,7 +95,7 @@ pub struct DeviceDescription {
 /// A slave's process data.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ProcessData<F: SlaveFactory> {
-    /// Addresses of outputs and inputs in the slave's memory.
+    /// Sync managers of outputs and inputs: what [`PreOperational::windows`] returns.
     pub windows: Windows,
     /// Bytes of the outputs.
     pub output_length: u16,

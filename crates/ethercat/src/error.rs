@@ -256,7 +256,7 @@ pub enum BusError {
         /// The second.
         second: u8,
     },
-    /// A slave's process data are in too many sync managers.
+    /// A slave's process data are in more sync managers than the master keeps, or than its controller has FMMUs.
     SyncManagers {
         /// Most sync managers allowed.
         expected: u8,

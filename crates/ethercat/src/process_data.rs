@@ -3,7 +3,7 @@
 //! Invariant: the shares of two slaves never overlap.
 
 use crate::acyclic::{AcyclicPort, Request};
-use crate::configure::discovery::write_managers;
+use crate::configure::discovery::{self, write_managers};
 use crate::configure::own_data::OwnData;
 use crate::configure::{Direction, Windows};
 use crate::cyclic::{CyclicSlave, SPAN_BYTES_MAX};
@@ -19,6 +19,8 @@ use core::ops::Range;
 /// fastest.
 pub const LOGICAL_START: u32 = 0x0001_0000;
 
+/// FMMUs that any controller has which exchanges outputs and inputs.
+const FMMUS_OF_ANY: usize = 2;
 /// Watchdog units (100 us) in a millisecond.
 const WATCHDOG_UNITS_PER_MS: u16 = 10;
 /// Watchdog of the slave's own processor: 100 ms, the slave controllers' default.
@@ -113,6 +115,9 @@ async fn set_up_of_driver<F: SlaveFactory, const MESSAGE: usize>(
 }
 
 /// Sets up a terminal's sync managers as its SII describes them, an FMMU for each, and the watchdog of its outputs.
+///
+/// # Errors
+/// [`BusError::SyncManagers`] for more than the controller has FMMUs, or as [`AcyclicPort::send_until_counted`].
 async fn set_up_own<F: SlaveFactory, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     slave: &Slave<F>,
@@ -120,6 +125,16 @@ async fn set_up_own<F: SlaveFactory, const MESSAGE: usize>(
     watchdog_ms: u16,
 ) -> Result<(), BusError> {
     let station = slave.station();
+    let managers = data.managers().count();
+    if managers > FMMUS_OF_ANY {
+        let fmmus = discovery::fmmus(port, station).await?;
+        if fmmus != 0 && managers > fmmus.into() {
+            return Err(BusError::SyncManagers {
+                expected: fmmus,
+                actual: managers as u8,
+            });
+        }
+    }
     if data.length(Direction::Outputs) > 0 {
         watchdogs(port, station, watchdog_ms).await?;
     }

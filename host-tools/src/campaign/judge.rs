@@ -79,7 +79,7 @@ pub(super) struct Judge {
     /// The drives that belong in the cell.
     products: [Product; AXES],
     configured: bool,
-    /// The drawing that the operator orders, until its order reaches the board.
+    /// The drawing that the operator orders, until an order of its number is accepted.
     ordered: Option<(u16, Vec<Input>)>,
     finished: Option<u16>,
     notices: Notices,
@@ -162,7 +162,8 @@ impl Judge {
         (self.ordered, self.finished) = (Some((job, inputs.collect())), None);
     }
 
-    /// A command has reached the board. The path of a drawing follows its order.
+    /// A command has reached the board. The path of a drawing follows each order of its number, until one is accepted: the
+    /// operator sends the vertices then.
     fn reached(&mut self, command: &Command) {
         self.notices.commanded(command);
         self.inputs.extend(self.command_of(command).map(Input::Commanded));
@@ -170,9 +171,9 @@ impl Judge {
             self.offered = self.untrue.map(|disturbances| disturbances == 0);
         }
         if let Command::Draw { job } = *command
-            && let Some((_, path)) = self.ordered.take_if(|(ordered, _)| *ordered == job)
+            && let Some((_, path)) = self.ordered.as_ref().filter(|(ordered, _)| *ordered == job)
         {
-            self.inputs.extend(path);
+            self.inputs.extend_from_slice(path);
         }
     }
 
@@ -182,6 +183,9 @@ impl Judge {
             self.homed(self.offered);
         } else if accepted && matches!(command, Command::Home) {
             self.shown = self.offered;
+        }
+        if let Command::Draw { job } = *command {
+            self.ordered.take_if(|(ordered, _)| accepted && *ordered == job);
         }
         self.reports
             .extend(self.command_of(command).map(|command| match accepted {

@@ -282,8 +282,11 @@ pub async fn maps_outside<const MESSAGE: usize>(
     Ok(false)
 }
 
-/// Number of FMMUs that a controller says that it has. Two slaves with one address answer too.
-async fn fmmus<const MESSAGE: usize>(port: &mut AcyclicPort<'_, MESSAGE>, station: u16) -> Result<u8, BusError> {
+/// Number of FMMUs that a controller says that it has; 0 if it does not tell. Two slaves with one address answer too.
+pub(crate) async fn fmmus<const MESSAGE: usize>(
+    port: &mut AcyclicPort<'_, MESSAGE>,
+    station: u16,
+) -> Result<u8, BusError> {
     let address = Address::station(station, register::FMMU_COUNT);
     let (count, _) = port.answered(&Request::read(Command::Fprd, address, 1)).await?;
     Ok(read_u8(&count, 0))

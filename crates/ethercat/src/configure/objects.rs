@@ -28,6 +28,9 @@ pub struct Windows {
 }
 
 impl Windows {
+    /// What a driver gives [`PreOperational::windows`](super::PreOperational::windows) for slaves whose SII tells no first bytes;
+    /// process data have the windows that it returns.
+    ///
     /// Sync managers 2 for the outputs and 3 for the inputs, as ETG.1000.6 numbers them behind those of the mailbox, with these
     /// first bytes in the slave's memory.
     pub const fn standard(outputs: u16, inputs: u16) -> Self {

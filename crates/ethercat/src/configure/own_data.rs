@@ -19,7 +19,7 @@ use crate::wire::coe::Object;
 use crate::wire::register;
 use crate::wire::sii::{self, PdoRecord, Record, SyncManagerRecord, SyncManagerUse};
 
-/// Most sync managers of a slave that carry process data: as many as take no more room than the process data of a driver.
+/// Most sync managers of a slave that carry process data: all but the mailbox's of a controller with 8, and one more.
 pub const DATA_MANAGERS_MAX: usize = 7;
 /// Most sync managers that a slave controller has.
 pub(super) const MANAGERS_MAX: u16 = 16;

@@ -60,7 +60,7 @@ pub struct PreOperational<'p, 'q, const MESSAGE: usize> {
 }
 
 impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
-    /// `windows` are those of a slave that describes its sync managers as this one does.
+    /// `windows`: sync managers that are not read from the SII, those of a slave of equal product and revision.
     pub(crate) fn new(
         port: &'p mut AcyclicPort<'q, MESSAGE>,
         station: u16,
@@ -93,7 +93,8 @@ impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
     /// # Errors
     /// Errors of the mailbox and the SII.
     pub async fn assign(&mut self, direction: Direction, choice: &PdoChoice) -> Result<bool, BusError> {
-        let index = self.assignment(direction).await?;
+        let manager = self.listed_windows().await?.of(direction).manager;
+        let index = ASSIGNMENT + u16::from(manager);
         let dictionary = &mut self.dictionary();
         let assignment = |sub| Object::new(index, sub);
         if !offer(dictionary, assignment(0), 0, 1).await? {
@@ -190,7 +191,7 @@ impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
     ) -> Result<(), BusError> {
         let station = self.station;
         let manager = self.listed_windows().await?.of(direction).manager;
-        let index = self.assignment(direction).await?;
+        let index = ASSIGNMENT + u16::from(manager);
         let mut pdos: Vec<u16, PDOS_MAX> = Vec::new();
         let mut dictionary = self.dictionary();
         let assigned = read_list(&mut dictionary, index, PDOS_MAX as u8, 2, |pdo| {
@@ -252,12 +253,6 @@ impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
         })
     }
 
-    /// The object that lists what the sync manager of a direction carries.
-    async fn assignment(&mut self, direction: Direction) -> Result<u16, BusError> {
-        let windows = self.listed_windows().await?;
-        Ok(ASSIGNMENT + u16::from(windows.of(direction).manager))
-    }
-
     /// The sync managers of the SII, read once.
     async fn listed_windows(&mut self) -> Result<Windows, BusError> {
         if let Some(windows) = self.windows {
@@ -270,14 +265,16 @@ impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
     }
 }
 
-/// The first sync managers that the SII lists for outputs and for inputs, behind those of a mailbox. Those that it does not
-/// list are the standard ones; first bytes that it does not tell are 0.
+/// The first sync managers that the SII lists for outputs and for inputs, behind those of a mailbox, with a first byte or else
+/// without one (then 0). An entry whose control byte is for the other direction does not count: one of the two is wrong. Sync
+/// managers that are not listed are the standard ones.
 async fn listed_windows<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
     has_mailbox: bool,
 ) -> Result<Windows, BusError> {
-    let (mut outputs, mut inputs) = (None, None);
+    let (mut outputs, mut inputs): (Option<Window>, Option<Window>) = (None, None);
+    let is_told = |window: &Option<Window>| window.is_some_and(|window| window.start != 0);
     let category = find_category(port, station, sii::CATEGORY_SYNC_MANAGER).await?;
     let managers = category.map_or(0, |category| (category.words / RECORD_WORDS).min(MANAGERS_MAX));
     let first = if has_mailbox { MAILBOX_MANAGERS } else { 0 };
@@ -286,18 +283,23 @@ async fn listed_windows<const MESSAGE: usize>(
         let Ok(record) = SyncManagerRecord::parse(&sii_record(port, station, word).await?) else {
             continue;
         };
-        let window = match record.usage {
-            SyncManagerUse::Outputs => &mut outputs,
-            SyncManagerUse::Inputs => &mut inputs,
+        let (window, direction) = match record.usage {
+            SyncManagerUse::Outputs => (&mut outputs, register::CONTROL_MASTER_WRITES),
+            SyncManagerUse::Inputs => (&mut inputs, 0),
             _ => continue,
         };
-        if record.flags & sii::SYNC_MANAGER_VIRTUAL == 0 {
-            window.get_or_insert(Window {
+        let is_virtual = record.flags & sii::SYNC_MANAGER_VIRTUAL != 0;
+        if is_virtual || record.control & register::CONTROL_DIRECTION != direction {
+            continue;
+        }
+        let start = if record.start < PROCESS_MEMORY { 0 } else { record.start };
+        if window.is_none() || start != 0 && !is_told(window) {
+            *window = Some(Window {
                 manager: number as u8,
-                start: if record.start < PROCESS_MEMORY { 0 } else { record.start },
+                start,
             });
         }
-        if outputs.is_some() && inputs.is_some() {
+        if is_told(&outputs) && is_told(&inputs) {
             break;
         }
     }
@@ -539,33 +541,47 @@ mod tests {
         };
         for _ in 0..2_000 {
             let has_mailbox = below(2) == 0;
-            // Unused, mailboxes, outputs, inputs; some of them virtual.
-            let list: Vec<(u16, u8, u8)> = (0..below(9))
-                .map(|_| (0x400 * below(8) as u16, below(5) as u8, u8::from(below(4) == 0) << 2))
+            // Unused, mailboxes, outputs, inputs; some of them virtual, some with a control byte for the other direction.
+            let list: Vec<(u16, u8, u8, u8)> = (0..below(9))
+                .map(|_| {
+                    let control = [0x64, 0x20][below(2) as usize];
+                    (
+                        0x400 * below(8) as u16,
+                        control,
+                        below(5) as u8,
+                        u8::from(below(4) == 0) << 2,
+                    )
+                })
                 .collect();
-            let record = |&(start, usage, flags): &(u16, u8, u8)| {
+            let record = |&(start, control, usage, flags): &(u16, u8, u8, u8)| {
                 let [low, high] = start.to_le_bytes();
-                [low, high, 0, 0, 0, 0, flags, usage]
+                [low, high, 0, 0, control, 0, flags, usage]
             };
             let records: Vec<[u8; 8]> = list.iter().map(record).collect();
             let found = windows(&records, has_mailbox);
-            let expected = |usage| {
+            let expected = |usage, control| {
                 let numbered = (0_u8..).zip(&list).skip(if has_mailbox { 2 } else { 0 });
-                let mut real = numbered.filter(|(_, (_, listed, flags))| (*listed, *flags) == (usage, 0));
-                real.next().map(|(number, (start, ..))| (number, *start))
+                let real: Vec<(u8, u16)> = numbered
+                    .filter(|(_, record)| (record.1, record.2, record.3) == (control, usage, 0))
+                    .map(|(number, record)| (number, if record.0 < PROCESS_MEMORY { 0 } else { record.0 }))
+                    .collect();
+                let told = real.iter().find(|(_, start)| *start != 0);
+                told.or(real.first()).copied()
             };
-            for (usage, window, standard) in [(3, found.outputs, 2), (4, found.inputs, 3)] {
-                match expected(usage) {
-                    Some((number, start)) => {
-                        let told = if start < PROCESS_MEMORY { 0 } else { start };
-                        assert_eq!((window.manager, window.start), (number, told), "{list:?}");
-                    }
-                    None => {
-                        assert!([standard, 5 - standard].contains(&window.manager), "{list:?}");
-                        assert_eq!(window.start, 0, "{list:?}");
-                    }
-                }
-            }
+            let (outputs, inputs) = (expected(3, 0x64), expected(4, 0x20));
+            // The other standard one where the right one is taken.
+            let free = |standard: u8, other: Option<(u8, u16)>| match other {
+                Some((number, _)) if number == standard => 5 - standard,
+                _ => standard,
+            };
+            let outputs_expected = outputs.unwrap_or((free(2, inputs), 0));
+            let inputs_expected = inputs.unwrap_or((free(3, outputs), 0));
+            assert_eq!(
+                (found.outputs.manager, found.outputs.start),
+                outputs_expected,
+                "{list:?}"
+            );
+            assert_eq!((found.inputs.manager, found.inputs.start), inputs_expected, "{list:?}");
             assert_ne!(found.outputs.manager, found.inputs.manager, "{list:?}");
         }
     }

@@ -385,7 +385,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         if slave.has_own_data() {
             self.find_own_data(number).await.map_err(at(Step::Objects))?;
         } else if let Some(device) = slave.device {
-            let windows = twin.map(|twin| twin.windows);
+            // What did not fit once is read again.
+            let windows = twin.filter(|_| !slave.data.is_known()).map(|twin| twin.windows);
             let mut there = PreOperational::new(port, station, &mut slave.mailbox, self.setup.cycle_ns, windows);
             let configured = F::configure(&self.setup.settings, device, slave.member, &mut there, twin.as_ref());
             let data = configured.await.map_err(at(Step::Objects))?;

@@ -64,8 +64,6 @@ pub(crate) struct Drawing {
     next: Option<Asked>,
     /// The drawing that was ordered before it and is not answered either.
     replaced: Option<Asked>,
-    /// The drawing that was refused last: its vertices may have arrived, and a later order of its number finds them there.
-    refused: Option<Asked>,
     /// The drawing whose answer was lost, and where its path ends so far.
     unanswered: Option<(u16, Option<Vector>)>,
     end: Option<Vector>,
@@ -94,7 +92,6 @@ impl Drawing {
             job: None,
             next: None,
             replaced: None,
-            refused: None,
             unanswered: None,
             end: None,
             legs: Vec::new(),
@@ -137,7 +134,7 @@ impl Drawing {
                 let asked = asked.into_iter().flatten().find(|asked| asked.job == job);
                 if let Some(asked) = asked {
                     if index == 0 {
-                        // Not that of a drawing which was refused before.
+                        // A repeated order brings its path again.
                         asked.path.clear();
                     }
                     asked.path.push((index, position_mm, pen_down));
@@ -149,24 +146,22 @@ impl Drawing {
             }
             Input::Restarted => {
                 (self.job, self.next, self.replaced, self.unanswered) = (None, None, None, None);
-                self.refused = None;
             }
             _ => {}
         }
     }
 
-    /// A drawing is ordered. An order that repeats the number of the last one brings no path of its own.
+    /// A drawing is ordered. An order that repeats the number of the last one is for the same path.
     fn ask(&mut self, job: u16, tool: Option<Vector>) {
         if let Some(asked) = self.next.as_mut().filter(|asked| asked.job == job) {
             asked.orders = asked.orders.saturating_add(1);
             return;
         }
-        let before = self.refused.take_if(|refused| refused.job == job);
         self.replaced = self.next.replace(Asked {
             job,
             orders: 1,
             at: tool,
-            path: before.map_or_else(Vec::new, |before| before.path),
+            path: Vec::new(),
             ink: Vec::new(),
         });
     }
@@ -218,7 +213,6 @@ impl Drawing {
                 self.go_on(cell, bounds, *index, *position_mm, *pen_down);
             }
         }
-        self.refused = Some(asked);
     }
 
     /// The drawing that was ordered last is not waited for any more: it was refused, or the robot stands or stops.

@@ -228,7 +228,7 @@ fn a_drawing_that_begins_on_the_paper_begins_with_a_lift() {
 }
 
 #[test]
-fn a_drawing_that_was_refused_may_be_drawn_by_a_later_order_of_its_number_with_the_vertices_that_are_there() {
+fn a_refused_drawing_permits_no_ink_until_it_is_accepted_with_the_path_that_came_last() {
     let (cell, bounds) = (Cell::default(), Bounds::new(&Cell::default()));
     let vertex = |index, x| Input::PathVertex {
         job: 7,
@@ -238,24 +238,18 @@ fn a_drawing_that_was_refused_may_be_drawn_by_a_later_order_of_its_number_with_t
     };
     let order = Input::Commanded(Command::Draw { job: 7 });
     let touches = |drawing: &Drawing, x| drawing.may_touch(&bounds, &[x, 0.0, -850.0], 0.0);
-    for (new_path, has_number) in [(false, false), (true, false), (false, true), (true, true)] {
+    for (is_answered, new_path) in [(true, false), (true, true), (false, false), (false, true)] {
         let mut drawing = Drawing::new();
-        if has_number {
-            // An order without a path, which was stopped.
-            drawing.take(&cell, &bounds, None, &order);
-            drawing.hear(&cell, &bounds, &Report::Accepted(Command::Draw { job: 7 }));
-        }
         for input in [order, vertex(0, 0.0), vertex(1, 20.0)] {
             drawing.take(&cell, &bounds, None, &input);
         }
-        drawing.hear(&cell, &bounds, &Report::Refused(Command::Draw { job: 7 }));
-        drawing.forget_asked();
-        assert!(has_number || !touches(&drawing, 10.0), "it was refused");
-        drawing.take(&cell, &bounds, None, &order);
-        if new_path {
-            for input in [vertex(0, 100.0), vertex(1, 120.0)] {
-                drawing.take(&cell, &bounds, None, &input);
-            }
+        if is_answered {
+            drawing.hear(&cell, &bounds, &Report::Refused(Command::Draw { job: 7 }));
+            assert!(!touches(&drawing, 10.0), "it was refused");
+        }
+        let from = if new_path { 100.0 } else { 0.0 };
+        for input in [order, vertex(0, from), vertex(1, from + 20.0)] {
+            drawing.take(&cell, &bounds, None, &input);
         }
         drawing.hear(&cell, &bounds, &Report::Accepted(Command::Draw { job: 7 }));
         assert_eq!([10.0, 110.0].map(|x| touches(&drawing, x)), [!new_path, new_path]);
