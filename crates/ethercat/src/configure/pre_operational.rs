@@ -266,7 +266,8 @@ impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
 }
 
 /// The first sync managers that the SII lists for outputs and for inputs, behind those of a mailbox, with a first byte or else
-/// without one (then 0). An entry whose control byte is for the other direction does not count: one of the two is wrong. Sync
+/// without one (then 0). An entry whose control byte is for the other direction does not count: one of the two is wrong; a control
+/// byte of 0 tells nothing. Sync
 /// managers that are not listed are the standard ones.
 async fn listed_windows<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
@@ -289,7 +290,8 @@ async fn listed_windows<const MESSAGE: usize>(
             _ => continue,
         };
         let is_virtual = record.flags & sii::SYNC_MANAGER_VIRTUAL != 0;
-        if is_virtual || record.control & register::CONTROL_DIRECTION != direction {
+        let is_contradicted = record.control != 0 && record.control & register::CONTROL_DIRECTION != direction;
+        if is_virtual || is_contradicted {
             continue;
         }
         let start = if record.start < PROCESS_MEMORY { 0 } else { record.start };
@@ -544,7 +546,7 @@ mod tests {
             // Unused, mailboxes, outputs, inputs; some of them virtual, some with a control byte for the other direction.
             let list: Vec<(u16, u8, u8, u8)> = (0..below(9))
                 .map(|_| {
-                    let control = [0x64, 0x20][below(2) as usize];
+                    let control = [0x64, 0x20, 0][below(3) as usize];
                     (
                         0x400 * below(8) as u16,
                         control,
@@ -562,7 +564,7 @@ mod tests {
             let expected = |usage, control| {
                 let numbered = (0_u8..).zip(&list).skip(if has_mailbox { 2 } else { 0 });
                 let real: Vec<(u8, u16)> = numbered
-                    .filter(|(_, record)| (record.1, record.2, record.3) == (control, usage, 0))
+                    .filter(|(_, record)| (record.2, record.3) == (usage, 0) && [control, 0].contains(&record.1))
                     .map(|(number, record)| (number, if record.0 < PROCESS_MEMORY { 0 } else { record.0 }))
                     .collect();
                 let told = real.iter().find(|(_, start)| *start != 0);
