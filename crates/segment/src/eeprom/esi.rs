@@ -24,8 +24,8 @@ const ENGLISH: &str = "1033";
 const ENTRIES_MAX: u32 = 255;
 /// Longest value of an object, bytes.
 const VALUE_BYTES_MAX: usize = 64 * 1024;
-/// Indices that follow from the PDOs and their sync managers, and from the identity.
-const DERIVED: [std::ops::Range<u16>; 3] = [0x1018..0x1019, 0x1600..0x1C01, 0x1C10..0x1C30];
+/// Indices that follow from the PDOs, their sync managers and the identity in every device.
+const DERIVED: [std::ops::Range<u16>; 3] = [0x1018..0x1019, 0x1600..0x1C01, 0x1C12..0x1C14];
 /// Configuration of a device with a processor if the file has none: 8-bit parallel interface, clock units powered.
 const CONFIGURATION_DEFAULT: u16 = 0x0C08;
 
