@@ -392,6 +392,16 @@ fn a_stroke_that_was_not_followed_begins_anew_and_after_a_stop_beside_the_path_o
     );
     assert_eq!(seen(&[[0.0, 32.0], [32.3, 47.0]], &[[32.0, 32.3]]), None, "a dot");
     assert_eq!(
+        seen(&[[0.0, 33.0], [33.3, 37.8]], &[[33.0, 33.3], [37.8, 38.1]]),
+        Some(32),
+        "a dot and a stop that count together: two points up to 2 mm, a millimetre before the dot"
+    );
+    assert_eq!(
+        seen(&[[0.0, 33.0], [33.0, 37.4]], &[[32.0, 32.3], [37.4, 38.1]]),
+        Some(36),
+        "a dot that another connection has drawn does not count"
+    );
+    assert_eq!(
         seen(&[[0.0, 49.0]], &[[32.0, 34.0]]),
         None,
         "drawn by another connection"
@@ -433,5 +443,213 @@ fn a_drawing_that_has_ended_lacks_what_its_verdict_says() {
         let verdict = verification.verdict();
         let complete = verdict.error().map(|_| verdict.complete_vertices as usize);
         assert_eq!(verification.complete_vertices(), complete, "{verification:?}");
+    }
+}
+
+/// Length of each half of [`uneven`], mm.
+const HALF_MM: f64 = 60.0;
+
+/// A short stroke, and one of two halves along x: one is straight in steps of 0.5 mm, the other has steps of `step_mm` with
+/// points up to `jitter_mm` beside the straight line. Points farther along have a larger x.
+fn uneven(random: &mut Lcg, config: &Config, step_mm: f64, jitter_mm: f64, is_noise_first: bool) -> Vec<Vertex> {
+    let z_mm = config.paper.pen_down_z_mm;
+    let vertex = |x_mm: f64, y_mm: f64, z_mm: f64, pen: Pen, stroke: u32| Vertex {
+        position: Position { x_mm, y_mm, z_mm },
+        pen,
+        stroke,
+    };
+    let mut path = vec![
+        vertex(-HALF_MM, 20.0, z_mm + LIFT_MM, Pen::Up, 0),
+        vertex(-HALF_MM, 20.0, z_mm, Pen::Up, 0),
+        vertex(-HALF_MM + 3.0, 20.0, z_mm, Pen::Down, 0),
+        vertex(-HALF_MM + 9.0, 20.0, z_mm, Pen::Down, 0),
+        vertex(-HALF_MM + 9.0, 20.0, z_mm + LIFT_MM, Pen::Up, 0),
+        vertex(-HALF_MM, 0.0, z_mm + LIFT_MM, Pen::Up, 1),
+        vertex(-HALF_MM, 0.0, z_mm, Pen::Up, 1),
+    ];
+    for half in 0..2 {
+        let is_noise = is_noise_first == (half == 0);
+        let (step_mm, jitter_mm) = if is_noise { (step_mm, jitter_mm) } else { (0.5, 0.0) };
+        let begin_mm = -HALF_MM + f64::from(half) * HALF_MM;
+        for step in 1..=(HALF_MM / step_mm).round() as u32 {
+            let y_mm = random.between(-1.0, 1.0) * jitter_mm;
+            path.push(vertex(begin_mm + f64::from(step) * step_mm, y_mm, z_mm, Pen::Down, 1));
+        }
+    }
+    path.push(vertex(HALF_MM, 0.0, z_mm + LIFT_MM, Pen::Up, 1));
+    path
+}
+
+/// Steps and jitter of [`uneven`], mm.
+const NOISE_MM: [[f64; 2]; 5] = [[0.02, 0.01], [0.02, 0.04], [0.05, 0.05], [0.05, 0.09], [0.1, 0.2]];
+
+#[test]
+fn every_vertex_has_its_own_place_along_its_line() {
+    let config = Config::default();
+    for (seed, [step_mm, jitter_mm]) in (1..).zip(NOISE_MM) {
+        for is_noise_first in [false, true] {
+            let path = wire(&uneven(
+                &mut Lcg::new(seed),
+                &config,
+                step_mm,
+                jitter_mm,
+                is_noise_first,
+            ));
+            let verifier = Verifier::new(&path, &config, true);
+            let case = format!("{step_mm} mm, {jitter_mm} mm, noise first: {is_noise_first}");
+            let strokes = &verifier.result.strokes;
+            let found: Vec<_> = strokes
+                .iter()
+                .map(|stroke| (stroke.number, stroke.vertex, stroke.first_point))
+                .collect();
+            assert_eq!(found, [(0, 0, 1), (1, 5, 6)], "{case}");
+            for ((stroke, line), points) in strokes.iter().zip(&verifier.lines).zip(lines(&path)) {
+                assert_eq!(points.points.len(), stroke.points_mm.len(), "{case}");
+                let drawn = path[stroke.first_point as usize + 1..].iter();
+                let legs = drawn.take_while(|vertex| vertex.pen == Pen::Down).count();
+                assert_eq!(legs + 1, stroke.points_mm.len(), "{case}");
+                assert!(stroke.points_mm.is_sorted(), "{case}");
+                for (point, mm) in points.points.iter().zip(&stroke.points_mm) {
+                    let away_mm = line.distance_between(point, f64::from(*mm), f64::from(*mm));
+                    assert!(away_mm <= THINNED_MM + 1e-4, "{case}: {away_mm} mm from {mm} mm");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn after_a_stop_beside_an_uneven_stroke_nothing_that_is_missing_is_left_out() {
+    let config = Config::default();
+    let kinematics = Kinematics::new(&config.geometry).expect("the built-in geometry");
+    let age = config.axes[0].measurement_age_ms.round() as usize;
+    let lift_um = (1_000.0 * config.paper.pen_lift_mm) as i32;
+    let place = |rad: [f32; 4]| kinematics.forward(&JointAngles(rad.map(f64::from))).expect("a pose");
+    let mut judged = 0;
+    for (seed, [step_mm, jitter_mm]) in (1..).zip(NOISE_MM) {
+        for is_noise_first in [false, true] {
+            let mut random = Lcg::new(seed);
+            let path = uneven(&mut random, &config, step_mm, jitter_mm, is_noise_first);
+            let (wired, samples) = (wire(&path), telemetry(&config, &path));
+            let drawn = samples
+                .iter()
+                .filter(|sample| sample.stroke == 1 && sample.pen == Pen::Down);
+            let drawn_ms: Vec<usize> = drawn.map(|sample| (sample.t_ms - samples[0].t_ms) as usize).collect();
+            for _ in 0..6 {
+                // The pen is beside the path from this millisecond on.
+                let left = drawn_ms[(random.between(0.05, 0.9) * drawn_ms.len() as f64) as usize];
+                let mut seen = samples[..(left + 400).min(samples.len())].to_vec();
+                for sample in &mut seen[left + age..] {
+                    sample.measured_rad[..3].iter_mut().for_each(|rad| *rad += 0.03);
+                }
+                let left_mm = place(samples[left - 1].setpoint_rad).x_mm;
+                let mut verifier = Verifier::new(&wired, &config, true);
+                seen.chunks(9).for_each(|samples| verifier.observe(samples));
+                let complete = verifier.finish(false).complete_vertices();
+                let case = format!(
+                    "seed {seed}, {step_mm} mm, {jitter_mm} mm, noise first: {is_noise_first}, left at {left_mm} mm: \
+                     {complete:?}"
+                );
+                let complete = complete.unwrap_or_else(|| panic!("{case}"));
+                let last_mm = path[complete.saturating_sub(1).max(6)].position.x_mm;
+                assert!(last_mm <= left_mm, "{case}: {last_mm} mm counts as drawn");
+                assert!(last_mm > left_mm - 2.5, "{case}: only {last_mm} mm count as drawn");
+                // It goes on there.
+                let rest =
+                    crate::job::remainder::Remainder::new(&wired, complete, crate::job::remainder::OVERLAP_UM, lift_um);
+                let begin_mm = f64::from(rest.vertices[1].position_um[0]) / 1_000.0;
+                assert!(begin_mm <= left_mm, "{case}: goes on at {begin_mm} mm");
+                judged += 1;
+            }
+        }
+    }
+    assert_eq!(judged, 60);
+}
+
+/// How much faster than planned the machine of [`cut_off`] is: it is fast until shortly before its end.
+const FASTER: usize = 4;
+
+/// A verifier of a drawing whose last stroke ends with the pen down, with telemetry so many milliseconds beyond its end.
+/// The machine draws all of it or ends two strokes early.
+fn cut_off(age_ms: u32, beyond_ms: usize, is_whole: bool) -> Verifier {
+    let mut config = Config::default();
+    let set_age = |config: &mut Config, age_ms: u32| {
+        let axes = config.axes.iter_mut();
+        axes.for_each(|axis| axis.measurement_age_ms = f64::from(age_ms));
+    };
+    let until = |path: &[Vertex], stroke: u32| {
+        let lifted = path.iter().rposition(|vertex| vertex.stroke == stroke);
+        path[..lifted.expect("a stroke ends with a lift")].to_vec()
+    };
+    let path = until(&drawing(&mut Lcg::new(5), &config), 6);
+    let drawn = if is_whole { path.clone() } else { until(&path, 4) };
+    set_age(&mut config, FASTER as u32 * age_ms);
+    let slow = telemetry(&config, &drawn);
+    let end = (slow.len() - REST_MS).div_ceil(FASTER);
+    set_age(&mut config, age_ms);
+    let mut verifier = Verifier::new(&wire(&path), &config, true);
+    let samples = slow
+        .iter()
+        .step_by(FASTER)
+        .chain(std::iter::repeat(&slow[slow.len() - 1]));
+    for (index, sample) in samples.enumerate().take(end + beyond_ms) {
+        // The board ends the drawing with its last reference, before the drives have come there.
+        let mode = if index < end { Mode::Drawing } else { Mode::Idle };
+        let t_ms = 1_000 + index as u32;
+        verifier.observe(&[Sample { t_ms, mode, ..*sample }]);
+    }
+    verifier
+}
+
+#[test]
+fn a_line_that_breaks_at_the_end_loses_what_was_not_measured_and_nothing_is_missing() {
+    for age_ms in [0, 1, 4, 10] {
+        for beyond_ms in 0..=age_ms as usize + 2 {
+            for is_over in [false, true] {
+                let verdict = cut_off(age_ms, beyond_ms, true)
+                    .finish_within(usize::MAX, is_over)
+                    .verdict();
+                let case = format!("{age_ms} ms old, {beyond_ms} ms after the end, {is_over}: {verdict:?}");
+                assert_eq!((verdict.missing_mm, verdict.error()), (0.0, None), "{case}");
+                if beyond_ms >= age_ms as usize {
+                    assert_eq!(verdict.unverified_mm, 0.0, "{case}");
+                }
+            }
+        }
+    }
+}
+
+#[test]
+fn what_a_finished_drawing_never_reached_is_missing_once_all_was_measured_and_one_that_is_not_over_lacks_nothing() {
+    for age_ms in [0, 1, 4, 10] {
+        for beyond_ms in 0..=age_ms as usize + 2 {
+            for is_over in [false, true] {
+                let verdict = cut_off(age_ms, beyond_ms, false)
+                    .finish_within(usize::MAX, is_over)
+                    .verdict();
+                let case = format!("{age_ms} ms old, {beyond_ms} ms after the end, {is_over}: {verdict:?}");
+                let is_measured = beyond_ms >= age_ms.max(1) as usize;
+                let missing = if is_over && is_measured { vec![5, 6] } else { vec![] };
+                assert_eq!(verdict.strokes, missing, "{case}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_gap_is_noticed_whatever_the_age_of_a_measurement_is() {
+    for age_ms in [0.0, 0.4, 1.0, 3.0] {
+        let mut config = Config::default();
+        config.axes.iter_mut().for_each(|axis| axis.measurement_age_ms = age_ms);
+        let path = drawing(&mut Lcg::new(3), &config);
+        let mut samples = telemetry(&config, &path);
+        samples.drain(samples.len() / 3..samples.len() / 3 + 500);
+        let verdict = verdict(&config, &path, &samples);
+        assert_eq!(
+            (verdict.missing_mm, verdict.error()),
+            (0.0, None),
+            "{age_ms} ms: {verdict:?}"
+        );
+        assert!(verdict.unverified_mm > 0.0, "{age_ms} ms: {verdict:?}");
     }
 }
