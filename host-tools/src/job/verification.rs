@@ -510,8 +510,8 @@ fn places(kept: &[usize], along_mm: &[f64], points: usize) -> Vec<f32> {
     places
 }
 
-/// The drawn lines of a path, with the stroke's number and its first vertex, and where each line begins in the path: its
-/// points are that vertex, with the pen lowered, and those drawn after it.
+/// The drawn lines of a path, with the stroke's number and its first vertex. A line begins with the vertex at which the pen
+/// is lowered, so that its points are successive vertices from there on.
 fn lines(path: &[PathVertex]) -> Vec<Line> {
     let at = |vertex: &PathVertex| {
         let [x_mm, y_mm, z_mm] = vertex.position_um.map(|um| f64::from(um) / 1_000.0);

@@ -481,7 +481,17 @@ fn uneven(random: &mut Lcg, config: &Config, step_mm: f64, jitter_mm: f64, is_no
 }
 
 /// Steps and jitter of [`uneven`], mm.
-const NOISE_MM: [[f64; 2]; 5] = [[0.02, 0.01], [0.02, 0.04], [0.05, 0.05], [0.05, 0.09], [0.1, 0.2]];
+const NOISE_MM: [[f64; 2]; 6] = [
+    [0.02, 0.01],
+    [0.02, 0.04],
+    [0.02, 0.15],
+    [0.05, 0.05],
+    [0.05, 0.09],
+    [0.1, 0.2],
+];
+
+/// Seeds of each of them.
+const SEEDS: u64 = 4;
 
 #[test]
 fn every_vertex_has_its_own_place_along_its_line() {
@@ -526,7 +536,8 @@ fn after_a_stop_beside_an_uneven_stroke_nothing_that_is_missing_is_left_out() {
     let lift_um = (1_000.0 * config.paper.pen_lift_mm) as i32;
     let place = |rad: [f32; 4]| kinematics.forward(&JointAngles(rad.map(f64::from))).expect("a pose");
     let mut judged = 0;
-    for (seed, [step_mm, jitter_mm]) in (1..).zip(NOISE_MM) {
+    let cases = (1..=SEEDS).flat_map(|seed| NOISE_MM.map(|noise_mm| (seed, noise_mm)));
+    for (seed, [step_mm, jitter_mm]) in cases {
         for is_noise_first in [false, true] {
             let mut random = Lcg::new(seed);
             let path = uneven(&mut random, &config, step_mm, jitter_mm, is_noise_first);
@@ -563,7 +574,7 @@ fn after_a_stop_beside_an_uneven_stroke_nothing_that_is_missing_is_left_out() {
             }
         }
     }
-    assert_eq!(judged, 60);
+    assert_eq!(judged, SEEDS * 72);
 }
 
 /// How much faster than planned the machine of [`cut_off`] is: it is fast until shortly before its end.
