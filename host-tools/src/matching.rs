@@ -43,24 +43,38 @@ pub fn between(a: &Position, b: &Position, part: f64) -> Position {
 /// polyline that lies entirely near its first point, whose farthest point is kept as well.
 #[must_use]
 pub fn thinned(points: &[Position], within_mm: f64) -> Vec<Position> {
-    let mut kept: Vec<Position> = Vec::new();
-    for point in points {
-        if kept.last().is_none_or(|last| distance(last, point) > within_mm) {
-            kept.push(*point);
+    let kept = kept(points, within_mm);
+    kept.into_iter()
+        .filter_map(|index| points.get(index).copied())
+        .collect()
+}
+
+/// Indices of the points that [`thinned`] keeps, in order; a single point is kept twice.
+#[must_use]
+pub fn kept(points: &[Position], within_mm: f64) -> Vec<usize> {
+    let (Some(first), Some(last)) = (points.first(), points.last()) else {
+        return Vec::new();
+    };
+    let (mut kept, mut latest) = (vec![0], first);
+    for (index, point) in points.iter().enumerate().skip(1) {
+        if distance(latest, point) > within_mm {
+            kept.push(index);
+            latest = point;
         }
     }
-    let (Some(first), Some(last)) = (points.first(), points.last()) else {
-        return kept;
-    };
     if kept.len() == 1 {
-        kept.extend(
-            points
-                .iter()
-                .max_by(|a, b| distance(first, a).total_cmp(&distance(first, b))),
-        );
+        let away_mm = |point: &Position| distance(first, point);
+        let farthest = points
+            .iter()
+            .enumerate()
+            .max_by(|(_, a), (_, b)| away_mm(a).total_cmp(&away_mm(b)));
+        if let Some((index, point)) = farthest {
+            kept.push(index);
+            latest = point;
+        }
     }
-    if points.len() > 1 && kept.last() != Some(last) {
-        kept.push(*last);
+    if points.len() > 1 && latest != last {
+        kept.push(points.len() - 1);
     }
     kept
 }
@@ -142,6 +156,12 @@ impl Polyline {
     #[must_use]
     pub fn length_mm(&self) -> f64 {
         self.along_mm.last().copied().unwrap_or(0.0)
+    }
+
+    /// Distance of each of its points along the line, mm.
+    #[must_use]
+    pub fn along_mm(&self) -> &[f64] {
+        &self.along_mm
     }
 
     /// Number of its legs.

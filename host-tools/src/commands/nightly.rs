@@ -1,9 +1,11 @@
 //! `etherpen verify --nightly`: what takes longer than continuous integration may.
 
+use crate::campaign::generate::Profile;
 use crate::error::{ProgramError, code};
 use crate::settings::machines::MACHINES;
 use crate::setup;
 use crate::terminal::in_colour;
+use clap::ValueEnum;
 use std::process::Command;
 use std::time::Instant;
 
@@ -13,18 +15,6 @@ const CAMPAIGN_HOURS: &str = "0.8";
 const EMULATED_HOURS: &str = "1";
 /// First seed and the one behind the last; an episode takes some seconds of robot time.
 const CAMPAIGN_SEEDS: &str = "0..100000";
-/// Profiles of the campaign.
-const PROFILES: [&str; 9] = [
-    "all",
-    "quiet",
-    "bus",
-    "drives",
-    "link",
-    "board",
-    "operator",
-    "terminals",
-    "cables",
-];
 /// Time for each fuzz target, s.
 const FUZZ_S: u32 = 600;
 
@@ -81,7 +71,12 @@ fn steps() -> Vec<Step> {
         "bench-ethercat",
         "run --release --bin etherpen -- bench ethercat --check",
     ));
-    let runs = PROFILES
+    let profiles: Vec<String> = Profile::value_variants()
+        .iter()
+        .filter_map(Profile::to_possible_value)
+        .map(|profile| profile.get_name().to_owned())
+        .collect();
+    let runs = profiles
         .iter()
         .flat_map(|profile| MACHINES.map(|machine| (profile, machine.name)));
     steps.extend(runs.map(|(profile, machine)| {
@@ -91,7 +86,7 @@ fn steps() -> Vec<Step> {
         );
         Step::new(&format!("campaign-{profile}-{machine}"), &arguments)
     }));
-    steps.extend(PROFILES.map(|profile| {
+    steps.extend(profiles.iter().map(|profile| {
         let arguments = format!(
             "run --release --bin etherpen -- campaign --emulated --profile {profile} --seeds {CAMPAIGN_SEEDS} \
              --hours {EMULATED_HOURS}"
@@ -213,6 +208,31 @@ mod tests {
         assert_eq!(steps.iter().filter(with_dictionary).count(), 10);
         let targets = steps.iter().filter(|step| step.name.starts_with("fuzz-")).count();
         assert!(targets >= 19, "{targets}");
+    }
+
+    #[test]
+    fn every_profile_of_the_campaign_runs_on_every_machine_and_against_the_emulated_board() {
+        let steps = steps();
+        for profile in Profile::value_variants() {
+            let name = profile
+                .to_possible_value()
+                .expect("a profile has a name")
+                .get_name()
+                .to_owned();
+            let of_profile = |step: &&Step| {
+                step.arguments
+                    .windows(2)
+                    .any(|words| words == ["--profile", name.as_str()])
+            };
+            let found: Vec<&str> = (steps.iter().filter(of_profile))
+                .map(|step| step.name.as_str())
+                .collect();
+            let mut expected: Vec<String> = (MACHINES.iter())
+                .map(|machine| format!("campaign-{name}-{}", machine.name))
+                .collect();
+            expected.push(format!("emulated-{name}"));
+            assert_eq!(found, expected);
+        }
     }
 
     #[test]

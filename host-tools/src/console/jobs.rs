@@ -416,7 +416,8 @@ impl Jobs {
         })
     }
 
-    /// A stroke behind so many vertices of what was sent of the active drawing is not whole: its ink ends before that one.
+    /// Something behind so many vertices of what was sent of the active drawing is missing: its ink ends there, at a stroke's
+    /// beginning or within a stroke.
     pub fn found_missing(&mut self, complete: usize) {
         if let Some(job) = &mut self.active {
             match job

@@ -42,8 +42,8 @@ pub struct HistoryEntry {
     pub given_from: u32,
     /// Vertices executed.
     pub executed: u32,
-    /// Vertices before the first stroke of which a part was not followed; absent if none is known. A resumed drawing goes on
-    /// there.
+    /// Vertices before what was not followed: before the first stroke with such a part, or after a stop beside the path before
+    /// that part; absent if none is known. A resumed drawing goes on there.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub missing_from: Option<u32>,
     /// Vertices of the path.

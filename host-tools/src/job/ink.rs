@@ -124,7 +124,7 @@ impl Ink {
         self.lifted();
     }
 
-    /// Goes back to the end of the ink before a vertex, the first of a stroke that is not whole.
+    /// Goes back to the end of the ink before a vertex, the first that counts as not drawn: it may be within a stroke.
     pub fn back_to(&mut self, vertex: usize) {
         let before = self.path.get(..vertex).unwrap_or(&self.path);
         let is_drawn = |vertex: &PathVertex| vertex.pen == Pen::Down;

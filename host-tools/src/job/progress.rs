@@ -17,7 +17,8 @@ const CALIBRATED_FROM: f64 = 0.02;
 pub struct Progress {
     /// Vertices executed.
     pub vertices: usize,
-    /// Vertices before the first stroke of which a part was found missing; [`Self::vertices`] if none was.
+    /// Vertices before what was found missing: before the first stroke with such a part, or after a stop beside the path before
+    /// that part; [`Self::vertices`] if none was.
     #[serde(default)]
     pub complete: usize,
     /// Vertices of the path.
@@ -48,7 +49,7 @@ impl Progress {
         }
     }
 
-    /// Vertices before the first stroke of which a part was found missing; `None` if none was.
+    /// [`Self::complete`], or `None` if nothing was found missing.
     #[must_use]
     pub fn missing_from(&self) -> Option<usize> {
         (self.complete < self.vertices).then_some(self.complete)

@@ -304,8 +304,8 @@ fn from_firmware(
     if let Some(missing_from) = entry.missing_from {
         let stroke = path.get(missing_from as usize).map_or(0, |vertex| vertex.stroke);
         let text = format!(
-            "stroke {} of this drawing was not followed to its end; end what the firmware still holds (etherpen cancel), \
-             then --resume goes on with that stroke",
+            "stroke {} of this drawing was not followed all the way; end what the firmware still holds (etherpen cancel), \
+             then --resume draws again what is missing",
             stroke.saturating_add(1)
         );
         return Err(ProgramError::new(code::FAILED, text));

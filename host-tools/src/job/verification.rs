@@ -16,7 +16,7 @@
 mod parts;
 mod verdict;
 
-use crate::matching::{Polyline, Search, SearchLimits, SearchProgress, Step, distance, thinned};
+use crate::matching::{Polyline, Search, SearchLimits, SearchProgress, Step, distance, kept};
 use etherpen::application::Mode;
 use etherpen::config::{AxisMode, Config};
 use etherpen::messages::{PathVertex, Sample};
@@ -105,7 +105,9 @@ pub struct Verifier {
     age_ms: u32,
     near_mm: f64,
     speed_mm_s: f64,
-    /// The last samples, as many milliseconds as the age of a measurement.
+    /// The last sample.
+    newest: Option<Sample>,
+    /// The last samples, as many milliseconds as the age of a measurement: what was measured for them is not known yet.
     recent: VecDeque<Sample>,
     /// Whether samples were lost since the last row.
     has_gap: bool,
@@ -142,6 +144,7 @@ impl Verifier {
             age_ms: config.axes[0].measurement_age_ms.round().max(0.0) as u32,
             near_mm: if is_torque { FOLLOWED_BY_TORQUE_MM } else { FOLLOWED_MM },
             speed_mm_s: SPEED_SHARE * config.motion.speed_mm_s,
+            newest: None,
             recent: VecDeque::new(),
             has_gap: !from_begin,
             line: None,
@@ -164,16 +167,11 @@ impl Verifier {
             first_point,
         } in lines(path)
         {
-            let line = Polyline::new(thinned(&points, THINNED_MM));
+            let kept = kept(&points, THINNED_MM);
+            let line = Polyline::new(kept.iter().filter_map(|index| points.get(*index).copied()).collect());
             let (drawn_mm, length_mm) = (length(&points), line.length_mm());
             let scale = if length_mm > 0.0 { drawn_mm / length_mm } else { 1.0 };
-            let mut along_mm = 0.0;
-            let legs = points.windows(2).map(|pair| distance(&pair[0], &pair[1]));
-            let places = std::iter::once(0.0).chain(legs).map(|leg_mm| {
-                along_mm += leg_mm / scale;
-                along_mm as f32
-            });
-            let points_mm = places.collect();
+            let points_mm = places(&kept, line.along_mm(), points.len());
             result.result.strokes.push(VerifiedStroke {
                 number,
                 vertex,
@@ -265,9 +263,10 @@ impl Verifier {
         while self.is_behind() {
             self.work(usize::MAX);
         }
-        // Samples after the drawing show that nothing was drawn after the last row.
-        let is_past = |sample: &Sample| !is_drawing(sample.mode);
-        if is_over && !self.has_gap && !self.is_left_out && self.recent.back().is_some_and(is_past) {
+        // Samples after the drawing show that nothing was drawn after the last row, unless rows are not measured yet.
+        let is_past = self.newest.is_some_and(|sample| !is_drawing(sample.mode));
+        let is_measured = !self.recent.iter().any(draws);
+        if is_over && is_past && is_measured && !self.has_gap && !self.is_left_out {
             let end_mm = self
                 .result
                 .strokes
@@ -279,11 +278,8 @@ impl Verifier {
     }
 
     fn step(&mut self, sample: &Sample) {
-        if self
-            .recent
-            .back()
-            .is_some_and(|last| sample.t_ms.wrapping_sub(last.t_ms) != 1)
-        {
+        let before = self.newest.replace(*sample);
+        if before.is_some_and(|before| sample.t_ms.wrapping_sub(before.t_ms) != 1) {
             self.has_gap = true;
             self.recent.clear();
         }
@@ -492,11 +488,30 @@ fn is_drawing(mode: Mode) -> bool {
     matches!(mode, Mode::Drawing | Mode::Holding)
 }
 
+/// Whether a stroke is being drawn.
+fn draws(sample: &Sample) -> bool {
+    is_drawing(sample.mode) && sample.pen == Pen::Down
+}
+
 fn length(points: &[Position]) -> f64 {
     points.windows(2).map(|pair| distance(&pair[0], &pair[1])).sum()
 }
 
-/// The drawn lines of a path, with the stroke's number and its first vertex.
+/// Where each of so many points is along a line without its noise, mm: a point that was kept at its own place, another
+/// one at that of the point kept before it.
+fn places(kept: &[usize], along_mm: &[f64], points: usize) -> Vec<f32> {
+    let mut places = Vec::with_capacity(points);
+    let mut place_mm = 0.0;
+    for (index, mm) in kept.iter().zip(along_mm) {
+        places.resize(*index, place_mm);
+        place_mm = *mm as f32;
+    }
+    places.resize(points, place_mm);
+    places
+}
+
+/// The drawn lines of a path, with the stroke's number and its first vertex. A line begins with the vertex at which the pen
+/// is lowered, so that its points are successive vertices from there on.
 fn lines(path: &[PathVertex]) -> Vec<Line> {
     let at = |vertex: &PathVertex| {
         let [x_mm, y_mm, z_mm] = vertex.position_um.map(|um| f64::from(um) / 1_000.0);

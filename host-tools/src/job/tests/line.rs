@@ -129,3 +129,64 @@ fn nonsense_in_good_frames_makes_no_panic() {
     }
     assert!(understood > 80, "{understood}");
 }
+
+/// A job whose line breaks as soon as the firmware has said that the path has ended; it was carried out, or the firmware
+/// is wrong.
+fn broken_at_the_end(is_carried_out: bool) -> (JobReport, bool) {
+    let (mut rig, mut job) = (Rig::new(1, 0), job(100));
+    let mut now_ms = 0;
+    let mut heard_ms = 0;
+    while job.outcome().is_none() {
+        let mut out = Vec::new();
+        if job.ack.finished {
+            heard_ms += 1;
+        }
+        if heard_ms > 20 {
+            job.step(now_ms, &[], &mut out, 92);
+        } else {
+            rig.step(now_ms, |arrived, room| {
+                job.step(now_ms, arrived, &mut out, room);
+                std::mem::take(&mut out)
+            });
+        }
+        if !is_carried_out && rig.mode == Mode::Drawing && rig.executed == 50 && rig.vertices.len() == 100 {
+            (rig.executed, rig.mode) = (100, Mode::Idle);
+        }
+        now_ms += 1;
+    }
+    let finished = job.ack.finished;
+    assert!(
+        matches!(job.outcome(), Some(Err(JobError::LinkLost { .. }))),
+        "{:?}",
+        job.outcome()
+    );
+    (job.into_report(), finished)
+}
+
+#[test]
+fn a_line_that_breaks_after_the_end_of_the_path_leaves_the_verdict_as_it_is() {
+    let (report, finished) = broken_at_the_end(true);
+    assert!(finished);
+    let verdict = report.verification.verdict();
+    assert_eq!((verdict.missing_mm, verdict.error()), (0.0, None), "{verdict:?}");
+    let (report, finished) = broken_at_the_end(false);
+    assert!(finished);
+    let verdict = report.verification.verdict();
+    assert_eq!(verdict.strokes, [5, 6, 7, 8, 9], "{verdict:?}");
+}
+
+#[test]
+fn a_path_that_has_not_ended_lacks_nothing_that_it_has_not_come_to() {
+    let (mut rig, mut job) = (Rig::new(1, 0), job(100));
+    run(&mut rig, &mut job, 20_000, |_, rig, job| {
+        if rig.executed == 50 && rig.mode == Mode::Drawing {
+            job.control(Control::Cancel);
+        }
+    });
+    assert_eq!(job.outcome(), Some(&Err(JobError::Cancelled)));
+    let report = job.into_report();
+    let last = report.samples.last().expect("telemetry");
+    assert!(!matches!(last.mode, Mode::Drawing | Mode::Holding), "{last:?}");
+    let verdict = report.verification.verdict();
+    assert_eq!((verdict.missing_mm, verdict.error()), (0.0, None), "{verdict:?}");
+}

@@ -20,11 +20,12 @@ pub(super) struct VerifiedStroke {
     pub(super) begin_mm: f64,
     /// Its length without its noise, mm.
     pub(super) length_mm: f64,
-    /// Its length in the path divided by `length_mm`.
+    /// Its length in the path divided by `length_mm`, for the lengths of a verdict. Noise is not spread evenly: it says nothing
+    /// about places.
     pub(super) scale: f64,
     /// Where its first point is in the path.
     pub(super) first_point: u32,
-    /// Length along it up to each of its points, the first among them, mm.
+    /// Where each of its points is along it without its noise, the first among them, mm.
     pub(super) points_mm: Vec<f32>,
 }
 
@@ -97,11 +98,12 @@ impl Verification {
     }
 
     /// Vertices before the first stroke of which a part is missing. If the pen was beside it up to the place where the telemetry
-    /// ends, as in a stop that left the path, those before that part. Looks at the parts where the pen was elsewhere only.
+    /// ends, as in a stop that left the path, those before its first missing part. Looks at the parts where the pen was
+    /// elsewhere only.
     #[must_use]
     pub fn complete_vertices(&self) -> Option<usize> {
         let reached_mm = self.followed.end_mm().max(self.off.end_mm());
-        let (mut stroke_at, mut missing_mm) = (usize::MAX, 0.0);
+        let (mut stroke_at, mut missing_mm, mut missing_from_mm) = (usize::MAX, 0.0, None);
         for [from_mm, to_mm] in self.off.iter() {
             let is_last = to_mm >= reached_mm;
             let first = self
@@ -110,14 +112,19 @@ impl Verification {
             let touched = self.strokes.iter().enumerate().skip(first);
             for (at, stroke) in touched.take_while(|(_, stroke)| stroke.begin_mm < to_mm) {
                 if at != stroke_at {
-                    (stroke_at, missing_mm) = (at, 0.0);
+                    (stroke_at, missing_mm, missing_from_mm) = (at, 0.0, None);
                 }
                 let begin_mm = from_mm.max(stroke.begin_mm);
                 let end_mm = to_mm.min(stroke.begin_mm + stroke.length_mm);
-                missing_mm += end_mm - begin_mm - self.followed.length_between(begin_mm, end_mm);
+                let part_mm = end_mm - begin_mm - self.followed.length_between(begin_mm, end_mm);
+                if part_mm <= ROUNDING_MM {
+                    continue;
+                }
+                missing_mm += part_mm;
+                let missing_from_mm = *missing_from_mm.get_or_insert(begin_mm);
                 if stroke.lacks(missing_mm) {
                     return Some(match is_last {
-                        true => stroke.vertices_before(begin_mm - stroke.begin_mm),
+                        true => stroke.vertices_before(missing_from_mm - stroke.begin_mm),
                         false => stroke.vertex as usize,
                     });
                 }
