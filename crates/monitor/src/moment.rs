@@ -113,11 +113,13 @@ pub enum Input {
         /// Whether it is cut.
         cut: bool,
     },
-    /// A vertex of a job's path.
+    /// A vertex of a job's path. The path belongs to one order: each further order of its number brings it again, until one is
+    /// accepted.
     PathVertex {
         /// Number of the job.
         job: u16,
-        /// Index of the vertex, from 0. Repeated vertices are ignored.
+        /// Index of the vertex, from 0. Repeated vertices of an accepted order are ignored; those of an order that is not
+        /// answered begin anew with 0.
         index: u32,
         /// Position in the robot's frame, mm.
         position_mm: [f64; 3],

@@ -51,6 +51,14 @@ pub(super) struct Interlocks {
     pub(super) clock_failed: bool,
 }
 
+/// A drawing that the operator orders.
+struct Ordered {
+    job: u16,
+    path: Vec<Input>,
+    /// Whether the monitor has been told the path: an earlier order of the number may be answered before.
+    is_told: bool,
+}
+
 /// The monitor, and what it has to be told in this millisecond.
 pub(super) struct Judge {
     monitor: Monitor,
@@ -79,8 +87,8 @@ pub(super) struct Judge {
     /// The drives that belong in the cell.
     products: [Product; AXES],
     configured: bool,
-    /// The drawing that the operator orders, until an order of its number is accepted.
-    ordered: Option<(u16, Vec<Input>)>,
+    /// The drawing that the operator orders, until an order of its number is accepted behind its path.
+    ordered: Option<Ordered>,
     finished: Option<u16>,
     notices: Notices,
 }
@@ -159,7 +167,12 @@ impl Judge {
             position_mm: vertex.position_um.map(|um| f64::from(um) / 1e3),
             pen_down: vertex.pen == Pen::Down,
         });
-        (self.ordered, self.finished) = (Some((job, inputs.collect())), None);
+        self.ordered = Some(Ordered {
+            job,
+            path: inputs.collect(),
+            is_told: false,
+        });
+        self.finished = None;
     }
 
     /// A command has reached the board. The path of a drawing follows each order of its number, until one is accepted: the
@@ -171,9 +184,10 @@ impl Judge {
             self.offered = self.untrue.map(|disturbances| disturbances == 0);
         }
         if let Command::Draw { job } = *command
-            && let Some((_, path)) = self.ordered.as_ref().filter(|(ordered, _)| *ordered == job)
+            && let Some(ordered) = self.ordered.as_mut().filter(|ordered| ordered.job == job)
         {
-            self.inputs.extend_from_slice(path);
+            self.inputs.extend_from_slice(&ordered.path);
+            ordered.is_told = true;
         }
     }
 
@@ -185,7 +199,8 @@ impl Judge {
             self.shown = self.offered;
         }
         if let Command::Draw { job } = *command {
-            self.ordered.take_if(|(ordered, _)| accepted && *ordered == job);
+            self.ordered
+                .take_if(|ordered| accepted && ordered.is_told && ordered.job == job);
         }
         self.reports
             .extend(self.command_of(command).map(|command| match accepted {

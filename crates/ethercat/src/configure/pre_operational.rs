@@ -4,8 +4,8 @@
 //! read back (0x1C10 + the number of a sync manager names the objects assigned to it, each of which lists its entries).
 //! Where such an object is missing, the SII's lists are used, or else those of the driver.
 //!
-//! The sync managers are those that the SII lists first for outputs and for inputs, behind those of a mailbox; where it lists
-//! none, they are 2 and 3, as ETG.1000.6 numbers them.
+//! The sync managers are those that the SII lists first for outputs and for inputs, behind those of a mailbox. Where it lists
+//! none, they are 2 and 3, as ETG.1000.6 numbers them, unless the other direction has that one.
 //!
 //! Invariants: a refused assignment or mapping is not an error; every list and every wait ends.
 
@@ -265,17 +265,16 @@ impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
     }
 }
 
-/// The first sync managers that the SII lists for outputs and for inputs, behind those of a mailbox, with a first byte or else
-/// without one (then 0). An entry whose control byte is for the other direction does not count: one of the two is wrong; a control
-/// byte of 0 tells nothing. Sync
-/// managers that are not listed are the standard ones.
+/// The first sync managers that the SII lists for outputs and for inputs, behind those of a mailbox; first bytes that it does
+/// not tell are 0. An entry whose control byte is for the other direction is used if there is no better one, and not for both
+/// directions: then the two may be exchanged. Sync managers that are not listed are the standard ones.
 async fn listed_windows<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
     has_mailbox: bool,
 ) -> Result<Windows, BusError> {
-    let (mut outputs, mut inputs): (Option<Window>, Option<Window>) = (None, None);
-    let is_told = |window: &Option<Window>| window.is_some_and(|window| window.start != 0);
+    let (mut outputs, mut inputs) = (None, None);
+    let (mut doubtful_outputs, mut doubtful_inputs) = (None, None);
     let category = find_category(port, station, sii::CATEGORY_SYNC_MANAGER).await?;
     let managers = category.map_or(0, |category| (category.words / RECORD_WORDS).min(MANAGERS_MAX));
     let first = if has_mailbox { MAILBOX_MANAGERS } else { 0 };
@@ -284,26 +283,29 @@ async fn listed_windows<const MESSAGE: usize>(
         let Ok(record) = SyncManagerRecord::parse(&sii_record(port, station, word).await?) else {
             continue;
         };
-        let (window, direction) = match record.usage {
-            SyncManagerUse::Outputs => (&mut outputs, register::CONTROL_MASTER_WRITES),
-            SyncManagerUse::Inputs => (&mut inputs, 0),
+        // A control byte of 0 tells nothing.
+        let may_be = |direction| record.control == 0 || record.control & register::CONTROL_DIRECTION == direction;
+        let window = match record.usage {
+            SyncManagerUse::Outputs if may_be(register::CONTROL_MASTER_WRITES) => &mut outputs,
+            SyncManagerUse::Outputs => &mut doubtful_outputs,
+            SyncManagerUse::Inputs if may_be(0) => &mut inputs,
+            SyncManagerUse::Inputs => &mut doubtful_inputs,
             _ => continue,
         };
-        let is_virtual = record.flags & sii::SYNC_MANAGER_VIRTUAL != 0;
-        let is_contradicted = record.control != 0 && record.control & register::CONTROL_DIRECTION != direction;
-        if is_virtual || is_contradicted {
-            continue;
-        }
-        let start = if record.start < PROCESS_MEMORY { 0 } else { record.start };
-        if window.is_none() || start != 0 && !is_told(window) {
-            *window = Some(Window {
+        if record.flags & sii::SYNC_MANAGER_VIRTUAL == 0 {
+            window.get_or_insert(Window {
                 manager: number as u8,
-                start,
+                start: if record.start < PROCESS_MEMORY { 0 } else { record.start },
             });
         }
-        if is_told(&outputs) && is_told(&inputs) {
+        if outputs.is_some() && inputs.is_some() {
             break;
         }
+    }
+    match (outputs, inputs) {
+        (Some(_), None) => inputs = doubtful_inputs,
+        (None, Some(_)) => outputs = doubtful_outputs,
+        _ => {}
     }
     Ok(Windows::listed(outputs, inputs))
 }
@@ -561,16 +563,18 @@ mod tests {
             };
             let records: Vec<[u8; 8]> = list.iter().map(record).collect();
             let found = windows(&records, has_mailbox);
-            let expected = |usage, control| {
+            let listed = |usage, controls: &[u8]| {
                 let numbered = (0_u8..).zip(&list).skip(if has_mailbox { 2 } else { 0 });
-                let real: Vec<(u8, u16)> = numbered
-                    .filter(|(_, record)| (record.2, record.3) == (usage, 0) && [control, 0].contains(&record.1))
-                    .map(|(number, record)| (number, if record.0 < PROCESS_MEMORY { 0 } else { record.0 }))
-                    .collect();
-                let told = real.iter().find(|(_, start)| *start != 0);
-                told.or(real.first()).copied()
+                let mut real = numbered.filter(|(_, record)| (record.2, record.3) == (usage, 0));
+                let found = real.find(|(_, record)| controls.contains(&record.1));
+                found.map(|(number, record)| (number, if record.0 < PROCESS_MEMORY { 0 } else { record.0 }))
             };
-            let (outputs, inputs) = (expected(3, 0x64), expected(4, 0x20));
+            let (mut outputs, mut inputs) = (listed(3, &[0x64, 0]), listed(4, &[0x20, 0]));
+            match (outputs, inputs) {
+                (Some(_), None) => inputs = listed(4, &[0x64]),
+                (None, Some(_)) => outputs = listed(3, &[0x20]),
+                _ => {}
+            }
             // The other standard one where the right one is taken.
             let free = |standard: u8, other: Option<(u8, u16)>| match other {
                 Some((number, _)) if number == standard => 5 - standard,

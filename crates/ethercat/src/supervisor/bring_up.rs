@@ -385,7 +385,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         if slave.has_own_data() {
             self.find_own_data(number).await.map_err(at(Step::Objects))?;
         } else if let Some(device) = slave.device {
-            // What did not fit once is read again.
+            // A slave that was configured before reads its own: the twin's may not have fitted.
             let windows = twin.filter(|_| !slave.data.is_known()).map(|twin| twin.windows);
             let mut there = PreOperational::new(port, station, &mut slave.mailbox, self.setup.cycle_ns, windows);
             let configured = F::configure(&self.setup.settings, device, slave.member, &mut there, twin.as_ref());

@@ -255,3 +255,27 @@ fn a_refused_drawing_permits_no_ink_until_it_is_accepted_with_the_path_that_came
         assert_eq!([10.0, 110.0].map(|x| touches(&drawing, x)), [!new_path, new_path]);
     }
 }
+
+#[test]
+fn a_refused_order_of_the_running_drawings_number_brings_its_path() {
+    let (cell, bounds) = (Cell::default(), Bounds::new(&Cell::default()));
+    let vertex = |index, x| Input::PathVertex {
+        job: 7,
+        index,
+        position_mm: [x, 0.0, -850.0],
+        pen_down: index > 0,
+    };
+    let order = Input::Commanded(Command::Draw { job: 7 });
+    let mut drawing = Drawing::new();
+    drawing.take(&cell, &bounds, None, &order);
+    drawing.hear(&cell, &bounds, &Report::Accepted(Command::Draw { job: 7 }));
+    for input in [order, vertex(0, 0.0), vertex(1, 20.0)] {
+        drawing.take(&cell, &bounds, None, &input);
+    }
+    let touches = |drawing: &Drawing, x| drawing.may_touch(&bounds, &[x, 0.0, -850.0], 0.0);
+    drawing.hear(&cell, &bounds, &Report::Refused(Command::Draw { job: 7 }));
+    assert!(
+        touches(&drawing, 10.0),
+        "the board draws the vertices for the order that it has accepted"
+    );
+}
