@@ -113,13 +113,13 @@ pub enum Input {
         /// Whether it is cut.
         cut: bool,
     },
-    /// A vertex of a job's path. The path belongs to one order: each further order of its number brings it again, until one is
-    /// accepted.
+    /// A vertex of a job's path. The path belongs to one order: each further order of its number brings it again, until one
+    /// that came with it is accepted.
     PathVertex {
         /// Number of the job.
         job: u16,
-        /// Index of the vertex, from 0. Repeated vertices of an accepted order are ignored; those of an order that is not
-        /// answered begin anew with 0.
+        /// Index of the vertex, from 0. Repeated vertices of an accepted order are ignored; those of an order whose
+        /// answer is awaited begin anew with 0.
         index: u32,
         /// Position in the robot's frame, mm.
         position_mm: [f64; 3],

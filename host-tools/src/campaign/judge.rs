@@ -175,8 +175,8 @@ impl Judge {
         self.finished = None;
     }
 
-    /// A command has reached the board. The path of a drawing follows each order of its number, until one is accepted: the
-    /// operator sends the vertices then.
+    /// A command has reached the board. The path of a drawing follows each order of its number, until one
+    /// that came with it is accepted: the operator sends the vertices then.
     fn reached(&mut self, command: &Command) {
         self.notices.commanded(command);
         self.inputs.extend(self.command_of(command).map(Input::Commanded));

@@ -265,9 +265,10 @@ impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
     }
 }
 
-/// The first sync managers that the SII lists for outputs and for inputs, behind those of a mailbox; first bytes that it does
-/// not tell are 0. An entry whose control byte is for the other direction is used if there is no better one, and not for both
-/// directions: then the two may be exchanged. Sync managers that are not listed are the standard ones.
+/// The first sync managers that the SII lists for outputs and for inputs, behind those of a mailbox, even without a first byte;
+/// first bytes that it does not tell are 0. An entry whose control byte is for the other direction is used if there is no better
+/// one. If there are only such entries for both directions, the two may be exchanged, and none is used. Sync managers that are
+/// not listed are the standard ones.
 async fn listed_windows<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
@@ -302,10 +303,12 @@ async fn listed_windows<const MESSAGE: usize>(
             break;
         }
     }
-    match (outputs, inputs) {
-        (Some(_), None) => inputs = doubtful_inputs,
-        (None, Some(_)) => outputs = doubtful_outputs,
-        _ => {}
+    match (outputs.or(inputs), doubtful_outputs, doubtful_inputs) {
+        (None, Some(_), Some(_)) => {}
+        _ => {
+            outputs = outputs.or(doubtful_outputs);
+            inputs = inputs.or(doubtful_inputs);
+        }
     }
     Ok(Windows::listed(outputs, inputs))
 }
@@ -570,10 +573,11 @@ mod tests {
                 found.map(|(number, record)| (number, if record.0 < PROCESS_MEMORY { 0 } else { record.0 }))
             };
             let (mut outputs, mut inputs) = (listed(3, &[0x64, 0]), listed(4, &[0x20, 0]));
-            match (outputs, inputs) {
-                (Some(_), None) => inputs = listed(4, &[0x64]),
-                (None, Some(_)) => outputs = listed(3, &[0x20]),
-                _ => {}
+            let doubtful = (listed(3, &[0x20]), listed(4, &[0x64]));
+            let are_exchanged = (outputs, inputs) == (None, None) && doubtful.0.is_some() && doubtful.1.is_some();
+            if !are_exchanged {
+                outputs = outputs.or(doubtful.0);
+                inputs = inputs.or(doubtful.1);
             }
             // The other standard one where the right one is taken.
             let free = |standard: u8, other: Option<(u8, u16)>| match other {
@@ -590,6 +594,25 @@ mod tests {
             assert_eq!((found.inputs.manager, found.inputs.start), inputs_expected, "{list:?}");
             assert_ne!(found.outputs.manager, found.inputs.manager, "{list:?}");
         }
+    }
+
+    #[test]
+    fn entries_that_contradict_themselves_are_used_where_there_is_no_better_one() {
+        let record = |start: u16, control, usage| {
+            let [low, high] = start.to_le_bytes();
+            [low, high, 0, 0, control, 0, 1, usage]
+        };
+        let (out, input) = (record(0x1100, 0x64, 3), record(0x1400, 0x20, 4));
+        let (doubtful_out, doubtful_input) = (record(0x1100, 0x20, 3), record(0x1400, 0x64, 4));
+        let found = |records: &[[u8; 8]]| {
+            let Windows { outputs, inputs } = windows(records, false);
+            [outputs, inputs].map(|window| (window.manager, window.start))
+        };
+        assert_eq!(found(&[doubtful_input]), [(2, 0), (0, 0x1400)]);
+        assert_eq!(found(&[doubtful_input, input]), [(2, 0), (1, 0x1400)]);
+        assert_eq!(found(&[doubtful_out, input]), [(0, 0x1100), (1, 0x1400)]);
+        assert_eq!(found(&[doubtful_input, doubtful_out]), [(2, 0), (3, 0)]);
+        assert_eq!(found(&[doubtful_input, doubtful_out, out]), [(2, 0x1100), (0, 0x1400)]);
     }
 
     #[test]

@@ -241,3 +241,27 @@ fn what_the_machine_cannot_tell_need_not_be_noticed() {
     );
     assert!(is_noticeable("power 1 900", serviced));
 }
+
+#[test]
+fn a_path_is_told_with_each_order_until_one_behind_it_is_accepted() {
+    let mut judge = Judge::new(&Config::default());
+    let order = Command::Draw { job: 1 };
+    let path = [PathVertex {
+        position_um: [1_000, 2_000, 3_000],
+        pen: Pen::Down,
+        stroke: 1,
+    }];
+    let told = |judge: &mut Judge| {
+        judge.reached(&order);
+        let inputs = judge.inputs.drain(..);
+        inputs.filter(|input| matches!(input, Input::PathVertex { .. })).count()
+    };
+    assert_eq!(told(&mut judge), 0, "an order beside the session");
+    judge.orders(1, &path);
+    judge.answered(&order, true);
+    assert_eq!(told(&mut judge), 1, "the earlier order was accepted");
+    judge.answered(&order, false);
+    assert_eq!(told(&mut judge), 1, "it was refused");
+    judge.answered(&order, true);
+    assert_eq!(told(&mut judge), 0, "the session draws it");
+}
