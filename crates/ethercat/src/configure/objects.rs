@@ -2,6 +2,11 @@
 
 use crate::wire::coe::Object;
 
+/// Most sync managers that a slave controller has.
+pub(super) const MANAGERS_MAX: u16 = 16;
+/// Object that lists the process data objects of sync manager 0; those of the others follow.
+pub(super) const ASSIGNMENT: u16 = 0x1C10;
+
 /// Outputs or inputs, as seen from the master.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Direction {

@@ -9,7 +9,7 @@
 //! Invariant: only what the application has chosen is written; every list and every wait ends.
 
 use super::information::{self, read_words};
-use super::objects::{Direction, Entry};
+use super::objects::{ASSIGNMENT, Direction, Entry, MANAGERS_MAX};
 use super::pre_operational::{ENTRIES_MAX, read_list, sii_entries};
 use crate::acyclic::AcyclicPort;
 use crate::coe::ObjectDictionary;
@@ -21,12 +21,8 @@ use crate::wire::sii::{self, PdoRecord, Record, SyncManagerRecord, SyncManagerUs
 
 /// Most sync managers of a slave that carry process data: all but the mailbox's of a controller with 8, and one more.
 pub const DATA_MANAGERS_MAX: usize = 7;
-/// Most sync managers that a slave controller has.
-pub(super) const MANAGERS_MAX: u16 = 16;
 /// Lowest address of process data: digital outputs have their own register (IEC 61158-4-12, 0x0F00).
 const OUTPUTS_START: u16 = 0x0F00;
-/// Object that lists the process data objects of sync manager 0; those of the others follow.
-pub(super) const ASSIGNMENT: u16 = 0x1C10;
 
 /// The sync managers of a slave with CoE whose SII does not list them: behind those of the mailbox.
 pub const UNLISTED: [SyncManagerRecord; 4] = {

@@ -10,8 +10,7 @@
 //! Invariants: a refused assignment or mapping is not an error; every list and every wait ends.
 
 use super::information::read_sii;
-use super::objects::{Direction, Entry, PdoChoice, Setting, Window, Windows};
-use super::own_data::{ASSIGNMENT, MANAGERS_MAX};
+use super::objects::{ASSIGNMENT, Direction, Entry, MANAGERS_MAX, PdoChoice, Setting, Window, Windows};
 use crate::acyclic::AcyclicPort;
 use crate::coe::ObjectDictionary;
 use crate::error::BusError;
