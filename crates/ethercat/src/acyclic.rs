@@ -392,6 +392,23 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
         }
         Err(BusError::Lost { tries: TRIES_MAX })
     }
+
+    /// Sends a request to one slave until it comes back with the working counter 1, or with 0 from a slave that does not execute
+    /// it or is not there; `true` for 1. A greater one is no answer: the frame was damaged, or two slaves have the address.
+    ///
+    /// # Errors
+    /// [`BusError::WorkingCounter`] after [`TRIES_MAX`] greater ones, or as [`Self::answered`].
+    pub async fn answered_by_one(&mut self, request: &Request) -> Result<(Bytes, bool), BusError> {
+        let mut actual = 0;
+        for _ in 0..TRIES_MAX {
+            let (bytes, slaves) = self.answered(request).await?;
+            if slaves <= 1 {
+                return Ok((bytes, slaves == 1));
+            }
+            actual = slaves;
+        }
+        Err(BusError::WorkingCounter { expected: 1, actual })
+    }
 }
 
 /// Checks whether a request was executed as often as expected.

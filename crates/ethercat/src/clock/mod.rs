@@ -283,7 +283,7 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
 /// answer counts as one without a clock.
 ///
 /// # Errors
-/// As [`AcyclicPort::answered`].
+/// As [`AcyclicPort::answered_by_one`].
 pub async fn discover<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
@@ -301,19 +301,19 @@ pub async fn discover<const SLAVES: usize, const MESSAGE: usize>(
 /// What clock a slave has; `None` if it does not answer.
 ///
 /// # Errors
-/// As [`AcyclicPort::answered`].
+/// As [`AcyclicPort::answered_by_one`]: a member that was taken for one without a clock would run beside the others' time.
 pub async fn read_clock<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
 ) -> Result<Option<SlaveClock>, BusError> {
     let read = |register, length| Request::read(Command::Fprd, Address::station(station, register), length);
-    let (bytes, answers) = port.answered(&read(register::FEATURES, 2)).await?;
-    if answers != 1 {
+    let (bytes, is_there) = port.answered_by_one(&read(register::FEATURES, 2)).await?;
+    if !is_there {
         return Ok(None);
     }
     let features = read_u16(&bytes, 0);
     let latches = features & register::FEATURE_CLOCKS != 0;
-    let has_time = latches && port.answered(&read(register::DC_SYSTEM_TIME, 4)).await?.1 == 1;
+    let has_time = latches && port.answered_by_one(&read(register::DC_SYSTEM_TIME, 4)).await?.1;
     let width = match features & register::FEATURE_CLOCKS_64 {
         _ if !has_time => None,
         0 => Some(Width::Bits32),

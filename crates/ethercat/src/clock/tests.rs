@@ -2,10 +2,11 @@
 
 extern crate std;
 
-use super::super::acyclic::{Lane, Outcome, Reply};
+use super::super::acyclic::{self, Lane, Outcome, Reply};
 use super::super::wire::write_bytes;
 use super::*;
 use core::future::Future;
+use core::ops::Range;
 use core::pin::pin;
 use core::task::{Context, Poll, Waker};
 use heapless::spsc::Queue;
@@ -80,6 +81,8 @@ struct Chain {
     is_junction: bool,
     /// Reads of station addresses that are still lost.
     losses: usize,
+    /// Frames, from which on counters are 2 too high, and up to which.
+    miscounted: Range<usize>,
     /// Measurements whose frame is still to be passed on by so many slaves only: a cable behind them is being plugged.
     cut: (usize, usize),
     frames: usize,
@@ -119,6 +122,7 @@ impl Chain {
             distributes: false,
             is_junction: false,
             losses: 0,
+            miscounted: 0..0,
             cut: (0, 0),
             frames: 0,
             log: String::new(),
@@ -261,6 +265,9 @@ impl Chain {
                 }
                 _ => {}
             }
+        }
+        if self.miscounted.contains(&self.frames) {
+            working_counter += 2;
         }
         Reply {
             data,
@@ -790,5 +797,27 @@ fn without_a_period_sync_starts_at_the_earliest_time() {
     assert_eq!(clocks.period_ns, 0);
     for now_ns in [0, 1, u64::from(u32::MAX)] {
         assert_eq!(clocks.start_time_ns(now_ns, 250_000), now_ns + START_AHEAD_NS);
+    }
+}
+
+#[test]
+fn a_wrong_working_counter_takes_no_slaves_clock_away() {
+    const SLAVES: [(Option<Width>, u64, i64); 4] = [(WIDE, 5, 0), (None, 0, 0), (NARROW, 42, 0), (WIDE, 7, 0)];
+    let found = |miscounted: Range<usize>| {
+        let mut chain = Chain::new(SLAVES);
+        chain.miscounted = miscounted;
+        chain.run(async |mut port: AcyclicPort<'static, 64>| {
+            let clocks = discover::<4, 64>(&mut port, &STATIONS).await?;
+            Ok::<_, BusError>([0, 1, 2, 3].map(|slave| clocks.has_clock(slave)))
+        })
+    };
+    for first in 1..8 {
+        for count in 0..usize::from(acyclic::TRIES_MAX) {
+            let clocks = found(first..first + count);
+            assert_eq!(clocks, Ok([true, false, true, true]), "{count} frames from {first} on");
+        }
+        let actual = 3;
+        let expected = Err(BusError::WorkingCounter { expected: 1, actual });
+        assert_eq!(found(first..100), expected, "no end of them from frame {first} on");
     }
 }

@@ -6,9 +6,9 @@
 //! After a loss of frames a clock follows the others at up to a tenth of its speed ([`CATCH_UP_NS`]). While a fault is
 //! reported, also during its stop, and slaves or frames were disturbed, clocks need not agree: a slave that has returned in
 //! front of the one that distributes its time waits for its repair, and until then it gets the time before its own. Its
-//! repair takes that away ([`WAITED_NS`]).
+//! repair takes that away ([`WAITED_NS`]). Whether a fault is latched is not known before a mode is heard again.
 
-use crate::moment::{Mode, Moment};
+use crate::moment::{Mode, Moment, Report};
 use crate::scene::{Finding, Scene};
 use crate::violation::Rule;
 
@@ -33,6 +33,8 @@ pub(crate) struct Clocks {
     before_ns: u64,
     /// Whether slaves or frames were disturbed since the clocks last had to agree, and did.
     may_wait: bool,
+    /// Whether a mode was heard since, once what was disturbed had been quiet for half of [`QUIET_MS`].
+    is_told: bool,
     /// What each clock has gained or lost by repairs since something was disturbed, ns.
     repaired_ns: Vec<u32>,
 }
@@ -45,9 +47,13 @@ impl Clocks {
         } else {
             0
         };
-        self.may_wait |= scene.disturbances.machine_disturbed();
+        if scene.disturbances.machine_disturbed() {
+            (self.may_wait, self.is_told) = (true, false);
+        }
+        let has_mode = moment.reports.iter().any(|report| matches!(report, Report::Mode(_)));
+        self.is_told |= has_mode && self.quiet_ms > QUIET_MS / 2;
         let is_fault = scene.orders.fault_reported || scene.orders.mode == Some(Mode::Fault);
-        let waits = self.may_wait && is_fault;
+        let waits = self.may_wait && (is_fault || !self.is_told);
         let agreement = if waits { Ok(()) } else { self.agree(moment) };
         if !waits && self.quiet_ms > QUIET_MS && agreement.is_ok() {
             self.may_wait = false;
@@ -130,7 +136,6 @@ fn difference_ns(one: u64, other: u64) -> i32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::moment::Report;
     use crate::rig::{Rig, broken};
 
     /// Three slaves whose clocks go right from now on, two of them by so many nanoseconds wrong, for some milliseconds.
@@ -191,6 +196,28 @@ mod tests {
             assert_eq!(run(Mode::Fault, fault, 2_500..2_600, 0), Ok(()), "its repair");
             assert_eq!(run(Mode::Fault, fault, 2_600..2_700, 2_300), Ok(()));
             assert!(broken(&run(Mode::DrivesOff, None, 2_700..4_700, 2_300), Rule::Clocks));
+        }
+    }
+
+    #[test]
+    fn a_fault_whose_report_is_lost_on_the_line_may_let_a_clock_wait_until_the_line_is_heard_again() {
+        for mode in [Mode::Fault, Mode::Idle] {
+            let mut rig = Rig::idle();
+            rig.disturb_machine(true);
+            let mut run = |ms: core::ops::Range<u64>| {
+                ms.into_iter().try_for_each(|ms| {
+                    let right_ns = 1_000_000_000 + ms * 1_000_000;
+                    rig.clocks_ns = vec![Some(right_ns + 2_300), Some(right_ns)];
+                    match ms {
+                        1 => rig.disturb_machine(false),
+                        4_000 => rig.report(Report::Mode(mode)),
+                        _ => {}
+                    }
+                    rig.step()
+                })
+            };
+            assert_eq!(run(0..4_000), Ok(()));
+            assert_eq!(run(4_000..4_100).is_ok(), mode == Mode::Fault);
         }
     }
 
