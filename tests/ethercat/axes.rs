@@ -13,8 +13,9 @@ use etherpen::ethercat::cyclic::{Exchange, ExchangeKind};
 use etherpen::ethercat::event::{BusCommand, BusEvent, BusSetup};
 use etherpen::ethercat::slave_set::SlaveSet;
 use etherpen::ethercat::supervisor::Supervisor;
-use etherpen_segment::{DataManagers, Flywheel, PlaceOptions, Segment, SegmentOptions, SlaveKind};
-use heapless::spsc::Consumer;
+use etherpen_segment::random::Random;
+use etherpen_segment::{DataManagers, Fault, Flywheel, PlaceOptions, Segment, SegmentOptions, SlaveKind};
+use heapless::spsc::{Consumer, Producer};
 use std::f64::consts::TAU;
 
 const DRIVES: usize = 4;
@@ -36,7 +37,10 @@ struct Axes {
     settings: DriveSettings,
     /// Where each axis is to go, increments; `None` without power.
     targets: [Option<i32>; DRIVES],
+    /// Whether faults of the drives without power are reset.
+    resets: bool,
     supervisor: Pin<Box<dyn Future<Output = ()>>>,
+    commands: Producer<'static, BusCommand<ServoDrives<DRIVES>>>,
     events: Consumer<'static, BusEvent>,
     log: Vec<BusEvent>,
     cycle_us: u64,
@@ -47,8 +51,8 @@ struct Axes {
 }
 
 impl Axes {
-    /// The drives, each with these settings of its place, behind so many terminals.
-    fn new(cycle_us: u64, exchange: ExchangeKind, terminals: usize, place: PlaceOptions) -> Self {
+    /// The drives, each with the settings of its place, behind so many terminals.
+    fn new(cycle_us: u64, exchange: ExchangeKind, terminals: usize, drives: [PlaceOptions; DRIVES]) -> Self {
         let settings = DriveSettings {
             mode: AxisMode::Position,
             increments_per_revolution: TURN as u32,
@@ -76,7 +80,7 @@ impl Axes {
                 vec![SlaveKind::Cia402; DRIVES],
             ]
             .concat(),
-            places: [vec![PlaceOptions::default(); terminals], vec![place; DRIVES]].concat(),
+            places: [vec![PlaceOptions::default(); terminals], drives.to_vec()].concat(),
             ..SegmentOptions::default()
         };
         Self {
@@ -85,10 +89,12 @@ impl Axes {
             axes: [ServoAxis::with_cycle(cycle_us as u32 * 1_000); DRIVES],
             settings,
             targets: [None; DRIVES],
+            resets: false,
             supervisor: Box::pin(async move {
                 let mut supervisor = Supervisor::new(supervisor_end);
                 supervisor.run().await
             }),
+            commands: application.commands,
             events: application.events,
             log: Vec::new(),
             cycle_us,
@@ -136,10 +142,10 @@ impl Axes {
                 axis.take(input);
             }
             let target = self.targets[member];
-            let wanted = if target.is_some() {
-                DriveTarget::Enabled
-            } else {
-                DriveTarget::Off
+            let wanted = match target {
+                Some(_) => DriveTarget::Enabled,
+                None if self.resets => DriveTarget::FaultReset,
+                None => DriveTarget::Off,
             };
             let output = axis.set_position(wanted, target.filter(|_| input.is_some()), 0.0);
             self.group.write(member, &output);
@@ -172,6 +178,45 @@ impl Axes {
         self.run_ms(20);
     }
 
+    /// Drives go both ways, each by its own angle.
+    fn assert_moves(&mut self, what: &str) {
+        self.targets = self.positions().map(Some);
+        self.run_ms(200);
+        let before = self.errors();
+        for turns in [0.5, -0.25] {
+            let begun = self.angles_rad();
+            let steps = |member: usize| turns * (1.0 - 0.2 * member as f64);
+            let here = self.targets.map(Option::unwrap_or_default);
+            let step = |member: usize| (steps(member) * f64::from(TURN)) as i32;
+            self.targets = std::array::from_fn(|member| Some(here[member] + step(member)));
+            self.run_ms(800);
+            for (member, (begun, ended)) in begun.iter().zip(self.angles_rad()).enumerate() {
+                let off_rad = ended - begun - steps(member) * TAU;
+                assert!(off_rad.abs() < 0.01, "{what}, drive {member}: {off_rad} rad");
+            }
+        }
+        assert_eq!(self.errors(), before, "{what}");
+    }
+
+    /// Frames lost, and wrong working counters.
+    fn errors(&self) -> (u32, u32) {
+        let counters = self.group.exchange().counters();
+        (counters.frames_lost, counters.working_counter_errors)
+    }
+
+    /// Takes the power of a drive, from 1, away and gives it back, repairs the bus, and resets the drives' faults.
+    fn power_again(&mut self, drive: usize) {
+        self.targets = [None; DRIVES];
+        self.segment.inject(Fault::Power(drive, 300));
+        self.run_ms(500);
+        assert!(self.commands.enqueue(BusCommand::Recover).is_ok());
+        self.log.clear();
+        self.operational();
+        self.resets = true;
+        self.run_ms(20);
+        self.resets = false;
+    }
+
     /// Where each drive is, increments.
     fn positions(&self) -> [i32; DRIVES] {
         std::array::from_fn(|member| self.group.read(member).expect("an input").position)
@@ -185,7 +230,7 @@ impl Axes {
 #[test]
 pub(crate) fn axes_beyond_one_frame_go_to_their_targets_at_their_limit_of_speed_whatever_the_cycle() {
     for (cycle_us, exchange) in [(500, ExchangeKind::Combined), (4_000, ExchangeKind::Split)] {
-        let mut bus = Axes::new(cycle_us, exchange, TERMINALS, PlaceOptions::default());
+        let mut bus = Axes::new(cycle_us, exchange, TERMINALS, [PlaceOptions::default(); DRIVES]);
         bus.operational();
         let here = bus.positions();
         // Every drive somewhere else, half of them backwards.
@@ -212,8 +257,7 @@ pub(crate) fn axes_beyond_one_frame_go_to_their_targets_at_their_limit_of_speed_
             assert!(off_rad.abs() < 0.01, "drive {member} at {cycle_us} us: {off_rad} rad");
         }
         assert!(bus.frames > 1, "{} frames", bus.frames);
-        let counters = bus.group.exchange().counters();
-        assert_eq!((counters.frames_lost, counters.working_counter_errors), (0, 0));
+        assert_eq!(bus.errors(), (0, 0));
         println!("{cycle_us} us, {exchange:?}: {} frames each way at most", bus.frames);
     }
 }
@@ -222,31 +266,34 @@ pub(crate) fn axes_beyond_one_frame_go_to_their_targets_at_their_limit_of_speed_
 pub(crate) fn drives_move_whichever_of_their_sync_managers_carry_the_process_data() {
     let numbers = (2..8).flat_map(|outputs| (2..8).map(move |inputs| DataManagers::new(outputs, inputs)));
     for managers in numbers.flatten() {
-        let place = PlaceOptions {
-            managers: Some(managers),
-            ..PlaceOptions::default()
-        };
-        let mut bus = Axes::new(1_000, ExchangeKind::Combined, 0, place);
+        let mut bus = Axes::new(1_000, ExchangeKind::Combined, 0, [with_managers(managers); DRIVES]);
         bus.operational();
-        bus.targets = bus.positions().map(Some);
-        bus.run_ms(200);
-        for turns in [0.5, -0.25] {
-            let begun = bus.angles_rad();
-            let steps = |member: usize| turns * (1.0 - 0.2 * member as f64);
-            let here = bus.targets.map(Option::unwrap_or_default);
-            let step = |member: usize| (steps(member) * f64::from(TURN)) as i32;
-            bus.targets = std::array::from_fn(|member| Some(here[member] + step(member)));
-            bus.run_ms(800);
-            for (member, (begun, ended)) in begun.iter().zip(bus.angles_rad()).enumerate() {
-                let off_rad = ended - begun - steps(member) * TAU;
-                assert!(off_rad.abs() < 0.01, "{managers:?}, drive {member}: {off_rad} rad");
-            }
-        }
-        let counters = bus.group.exchange().counters();
-        assert_eq!(
-            (counters.frames_lost, counters.working_counter_errors),
-            (0, 0),
-            "{managers:?}"
-        );
+        bus.assert_moves(&format!("{managers:?}"));
+        assert_eq!(bus.errors(), (0, 0), "{managers:?}");
+    }
+}
+
+#[test]
+pub(crate) fn drives_of_one_product_come_up_and_come_back_each_with_its_own_sync_managers() {
+    let numbers = (2..5).flat_map(|outputs| (5..8).map(move |inputs| DataManagers::new(outputs, inputs)));
+    let numbers: Vec<_> = numbers.flatten().collect();
+    let mut random = Random::new(17);
+    for round in 0..8 {
+        let mut any = || numbers[random.bits() as usize % numbers.len()];
+        let managers: [DataManagers; DRIVES] = std::array::from_fn(|_| any());
+        let what = format!("round {round}, {managers:?}");
+        let mut bus = Axes::new(1_000, ExchangeKind::Combined, 0, managers.map(with_managers));
+        bus.operational();
+        bus.assert_moves(&what);
+        let lost = 1 + round % DRIVES;
+        bus.power_again(lost);
+        bus.assert_moves(&format!("{what} after the loss of drive {lost}"));
+    }
+}
+
+fn with_managers(managers: DataManagers) -> PlaceOptions {
+    PlaceOptions {
+        managers: Some(managers),
+        ..PlaceOptions::default()
     }
 }

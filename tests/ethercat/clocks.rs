@@ -115,6 +115,7 @@ again! {
         a_touch_probe_stores_the_place_of_the_next_index_pulse_each_time_it_is_armed;
     axes [crate::axes]
         drives_move_whichever_of_their_sync_managers_carry_the_process_data,
+        drives_of_one_product_come_up_and_come_back_each_with_its_own_sync_managers,
         axes_beyond_one_frame_go_to_their_targets_at_their_limit_of_speed_whatever_the_cycle;
     odd_controllers [crate::odd_controllers]
         a_slave_without_lrw_exchanges_its_data_by_lrd_and_lwr_in_any_chain,

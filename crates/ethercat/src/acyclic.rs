@@ -393,21 +393,25 @@ impl<'a, const MESSAGE: usize> AcyclicPort<'a, MESSAGE> {
         Err(BusError::Lost { tries: TRIES_MAX })
     }
 
-    /// Sends a request to one slave until it comes back with the working counter 1, or with 0 from a slave that does not execute
-    /// it or is not there; `true` for 1. A greater one is no answer: the frame was damaged, or two slaves have the address.
+    /// Sends a request to one slave until it comes back with the working counter 1, at most [`TRIES_MAX`] times. `None` if it
+    /// came back with 0 instead: the slave does not execute the request, or is not there.
     ///
     /// # Errors
-    /// [`BusError::WorkingCounter`] after [`TRIES_MAX`] greater ones, or as [`Self::answered`].
-    pub async fn answered_by_one(&mut self, request: &Request) -> Result<(Bytes, bool), BusError> {
-        let mut actual = 0;
+    /// [`BusError::WorkingCounter`] if it came back with others only: two slaves have the address, or frames were damaged; or as
+    /// [`Self::answered`].
+    pub async fn answered_by_one(&mut self, request: &Request) -> Result<Option<Bytes>, BusError> {
+        let mut actual = u16::MAX;
         for _ in 0..TRIES_MAX {
             let (bytes, slaves) = self.answered(request).await?;
-            if slaves <= 1 {
-                return Ok((bytes, slaves == 1));
+            if slaves == 1 {
+                return Ok(Some(bytes));
             }
-            actual = slaves;
+            actual = actual.min(slaves);
         }
-        Err(BusError::WorkingCounter { expected: 1, actual })
+        match actual {
+            0 => Ok(None),
+            _ => Err(BusError::WorkingCounter { expected: 1, actual }),
+        }
     }
 }
 

@@ -279,18 +279,23 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
     }
 }
 
-/// Determines which slaves have a clock. `stations` are the station addresses in chain order; a slave that does not
-/// answer counts as one without a clock.
+/// Determines which slaves have a clock. `stations` are the station addresses in chain order. A slave that does not answer
+/// counts as one without a clock, and so does one for which `is_used` returns false if its answers are wrong.
 ///
 /// # Errors
 /// As [`AcyclicPort::answered_by_one`].
 pub async fn discover<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
+    is_used: impl Fn(usize) -> bool,
 ) -> Result<BusClocks<SLAVES>, BusError> {
     let mut clocks = BusClocks::<SLAVES>::default();
     for (place, station) in (0..).zip(stations.iter().take(SLAVES)) {
-        let found = read_clock(port, *station).await?.unwrap_or_default();
+        let found = match read_clock(port, *station).await {
+            Err(BusError::WorkingCounter { .. }) if !is_used(place.into()) => None,
+            found => found?,
+        };
+        let found = found.unwrap_or_default();
         // The loop ends at the capacity.
         let _ = clocks.slaves.push(SlaveClock { place, ..found });
     }
@@ -307,13 +312,16 @@ pub async fn read_clock<const MESSAGE: usize>(
     station: u16,
 ) -> Result<Option<SlaveClock>, BusError> {
     let read = |register, length| Request::read(Command::Fprd, Address::station(station, register), length);
-    let (bytes, is_there) = port.answered_by_one(&read(register::FEATURES, 2)).await?;
-    if !is_there {
+    let Some(bytes) = port.answered_by_one(&read(register::FEATURES, 2)).await? else {
         return Ok(None);
-    }
+    };
     let features = read_u16(&bytes, 0);
     let latches = features & register::FEATURE_CLOCKS != 0;
-    let has_time = latches && port.answered_by_one(&read(register::DC_SYSTEM_TIME, 4)).await?.1;
+    let has_time = latches
+        && port
+            .answered_by_one(&read(register::DC_SYSTEM_TIME, 4))
+            .await?
+            .is_some();
     let width = match features & register::FEATURE_CLOCKS_64 {
         _ if !has_time => None,
         0 => Some(Width::Bits32),
@@ -343,7 +351,7 @@ pub async fn set_up<const SLAVES: usize, const MESSAGE: usize>(
     time_number: u8,
     is_used: impl Fn(usize) -> bool,
 ) -> Result<BusClocks<SLAVES>, BusError> {
-    let mut clocks: BusClocks<SLAVES> = discover(port, stations).await?;
+    let mut clocks: BusClocks<SLAVES> = discover(port, stations, &is_used).await?;
     (clocks.period_ns, clocks.time_number) = (period_ns, time_number);
     while let Some(first) = clocks.reference() {
         let presence = |position: usize| match is_used(position) {

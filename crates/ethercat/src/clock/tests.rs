@@ -17,6 +17,7 @@ use std::string::String;
 use std::vec::Vec as StdVec;
 
 mod agreement;
+mod counters;
 mod places;
 
 const PERIOD_NS: u32 = 1_000_000;
@@ -81,8 +82,10 @@ struct Chain {
     is_junction: bool,
     /// Reads of station addresses that are still lost.
     losses: usize,
-    /// Frames, from which on counters are 2 too high, and up to which.
+    /// Frames, from 1, with wrong working counters.
     miscounted: Range<usize>,
+    /// What is added to their working counters.
+    miscount: u16,
     /// Measurements whose frame is still to be passed on by so many slaves only: a cable behind them is being plugged.
     cut: (usize, usize),
     frames: usize,
@@ -123,6 +126,7 @@ impl Chain {
             is_junction: false,
             losses: 0,
             miscounted: 0..0,
+            miscount: 0,
             cut: (0, 0),
             frames: 0,
             log: String::new(),
@@ -267,7 +271,7 @@ impl Chain {
             }
         }
         if self.miscounted.contains(&self.frames) {
-            working_counter += 2;
+            working_counter = working_counter.wrapping_add(self.miscount);
         }
         Reply {
             data,
@@ -797,27 +801,5 @@ fn without_a_period_sync_starts_at_the_earliest_time() {
     assert_eq!(clocks.period_ns, 0);
     for now_ns in [0, 1, u64::from(u32::MAX)] {
         assert_eq!(clocks.start_time_ns(now_ns, 250_000), now_ns + START_AHEAD_NS);
-    }
-}
-
-#[test]
-fn a_wrong_working_counter_takes_no_slaves_clock_away() {
-    const SLAVES: [(Option<Width>, u64, i64); 4] = [(WIDE, 5, 0), (None, 0, 0), (NARROW, 42, 0), (WIDE, 7, 0)];
-    let found = |miscounted: Range<usize>| {
-        let mut chain = Chain::new(SLAVES);
-        chain.miscounted = miscounted;
-        chain.run(async |mut port: AcyclicPort<'static, 64>| {
-            let clocks = discover::<4, 64>(&mut port, &STATIONS).await?;
-            Ok::<_, BusError>([0, 1, 2, 3].map(|slave| clocks.has_clock(slave)))
-        })
-    };
-    for first in 1..8 {
-        for count in 0..usize::from(acyclic::TRIES_MAX) {
-            let clocks = found(first..first + count);
-            assert_eq!(clocks, Ok([true, false, true, true]), "{count} frames from {first} on");
-        }
-        let actual = 3;
-        let expected = Err(BusError::WorkingCounter { expected: 1, actual });
-        assert_eq!(found(first..100), expected, "no end of them from frame {first} on");
     }
 }

@@ -9,7 +9,7 @@ use super::super::acyclic::Request;
 use super::super::clock::{self, BusClocks, SyncSignals};
 use super::super::configure::discovery::STATION_BASE;
 use super::super::configure::own_data::{self, OwnData};
-use super::super::configure::{PreOperational, discovery, information};
+use super::super::configure::{PreOperational, Windows, discovery, information};
 use super::super::cyclic::{ExchangeKind, ValueBit};
 use super::super::driver::{Direction, ProcessData, SlaveFactory};
 use super::super::error::BusError;
@@ -279,8 +279,16 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             self.read_again(number).await.map_err(at)?;
         }
         self.check_terminal(number)?;
-        self.reach_pre_operational(number).await?;
-        self.configure(number).await
+        let is_new = self.slaves.get(number).is_some_and(|slave| !slave.data.is_known());
+        let mut windows = self.twin(number).filter(|_| is_new).map(|twin| twin.windows);
+        loop {
+            self.reach_pre_operational(number).await?;
+            match self.configure(number, windows).await {
+                // Those of the equal slave may not fit.
+                Err(failure) if failure.is_refusal() && windows.take().is_some() => {}
+                other => return other,
+            }
+        }
     }
 
     /// Takes a slave to a state, from the state before it or from a higher one. While the slave's processor does not read
@@ -370,8 +378,9 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         others.find_map(|(_, other)| other.data.of_driver().filter(|_| product(other) == wanted).copied())
     }
 
-    /// Takes a slave from PREOP to SAFEOP with settings, process data and watchdogs.
-    pub(super) async fn configure(&mut self, number: usize) -> Result<(), Failure> {
+    /// Takes a slave from PREOP to SAFEOP with settings, process data and watchdogs. `windows`: sync managers of an equal slave,
+    /// instead of its own.
+    pub(super) async fn configure(&mut self, number: usize, windows: Option<Windows>) -> Result<(), Failure> {
         let twin = self.twin(number);
         let Some(slave) = self.slaves.get_mut(number) else {
             return Ok(());
@@ -385,8 +394,6 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
         if slave.has_own_data() {
             self.find_own_data(number).await.map_err(at(Step::Objects))?;
         } else if let Some(device) = slave.device {
-            // A slave that was configured before reads its own: the twin's may not have fitted.
-            let windows = twin.filter(|_| !slave.data.is_known()).map(|twin| twin.windows);
             let mut there = PreOperational::new(port, station, &mut slave.mailbox, self.setup.cycle_ns, windows);
             let configured = F::configure(&self.setup.settings, device, slave.member, &mut there, twin.as_ref());
             let data = configured.await.map_err(at(Step::Objects))?;

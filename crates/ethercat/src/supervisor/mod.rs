@@ -106,6 +106,14 @@ struct Failure {
 }
 
 impl Failure {
+    /// Whether a slave did not go to SAFEOP.
+    const fn is_refusal(&self) -> bool {
+        matches!(
+            (self.step, &self.error),
+            (Step::SafeOperational, BusError::State { .. })
+        )
+    }
+
     fn of(position: u16, step: Step) -> impl Fn(BusError) -> Self {
         move |error| Self {
             position: Some(position),

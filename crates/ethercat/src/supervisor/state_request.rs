@@ -140,7 +140,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             self.ready_mailbox(number).await?;
             self.adapt_exchange(number).await?;
             information::take(&mut self.port, station).await;
-            self.configure(number).await?;
+            self.configure(number, None).await?;
         }
         if target == AlState::SafeOperational {
             return Ok(());

@@ -29,7 +29,7 @@ fn a_stranger_at_a_junction_changes_no_delay_of_the_others() {
     let known = [STATIONS[0], STATIONS[2], STATIONS[3]];
     let clocks: BusClocks<16> = chain
         .run(async |mut port: AcyclicPort<'static, 64>| {
-            let mut clocks = discover(&mut port, &known).await?;
+            let mut clocks = discover(&mut port, &known, |_| true).await?;
             measure(&mut port, &known, &mut clocks, |_| Presence::Used).await?;
             Ok::<_, BusError>(clocks)
         })
