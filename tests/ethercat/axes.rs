@@ -275,7 +275,7 @@ pub(crate) fn drives_move_whichever_of_their_sync_managers_carry_the_process_dat
 
 #[test]
 pub(crate) fn drives_of_one_product_come_up_and_come_back_each_with_its_own_sync_managers() {
-    let numbers = (2..5).flat_map(|outputs| (5..8).map(move |inputs| DataManagers::new(outputs, inputs)));
+    let numbers = (2..8).flat_map(|outputs| (2..8).map(move |inputs| DataManagers::new(outputs, inputs)));
     let numbers: Vec<_> = numbers.flatten().collect();
     let mut random = Random::new(17);
     for round in 0..8 {

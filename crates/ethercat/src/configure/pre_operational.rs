@@ -4,8 +4,8 @@
 //! read back (0x1C10 + the number of a sync manager names the objects assigned to it, each of which lists its entries).
 //! Where such an object is missing, the SII's lists are used, or else those of the driver.
 //!
-//! The sync managers are those that the SII lists first for outputs and for inputs, behind those of a mailbox; entries that
-//! contradict themselves count last. Where it lists none, they are 2 and 3, as ETG.1000.6 numbers them, unless the other
+//! The sync managers are those that the SII lists first for outputs and for inputs, behind those of a mailbox; of entries that
+//! contradict themselves see `listed_windows`. Where it lists none, they are 2 and 3, as ETG.1000.6 numbers them, unless the other
 //! direction has that one.
 //!
 //! Invariants: a refused assignment or mapping is not an error; every list and every wait ends.
@@ -266,17 +266,16 @@ impl<'p, 'q, const MESSAGE: usize> PreOperational<'p, 'q, MESSAGE> {
 }
 
 /// The first sync managers that the SII lists for outputs and for inputs, behind those of a mailbox, even without a first byte;
-/// first bytes that it does not tell are 0. An entry whose control byte is for the other direction is used if there is no better
-/// one and its number is not the standard one of the other direction. If there are only such entries for both directions, the
-/// two may be exchanged, and none is used. Sync managers that are not listed are the standard ones.
+/// first bytes that it does not tell are 0. Sync managers that are not listed are the standard ones.
+///
+/// An entry whose control byte is for the other direction is used if there is no better one. Without any better entry it is not if
+/// the two directions may be exchanged: there are such entries for both, or its number is the other direction's standard one.
 async fn listed_windows<const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     station: u16,
     has_mailbox: bool,
 ) -> Result<Windows, BusError> {
-    let (mut outputs, mut inputs) = (None, None);
-    let (mut doubtful_outputs, mut doubtful_inputs) = (None, None);
-    let standard = Windows::standard(0, 0);
+    let ([mut outputs, mut inputs], [mut doubtful_outputs, mut doubtful_inputs]) = ([None; 2], [None; 2]);
     let category = find_category(port, station, sii::CATEGORY_SYNC_MANAGER).await?;
     let managers = category.map_or(0, |category| (category.words / RECORD_WORDS).min(MANAGERS_MAX));
     let first = if has_mailbox { MAILBOX_MANAGERS } else { 0 };
@@ -287,12 +286,11 @@ async fn listed_windows<const MESSAGE: usize>(
         };
         // A control byte of 0 tells nothing.
         let may_be = |direction| record.control == 0 || record.control & register::CONTROL_DIRECTION == direction;
-        let is_standard_of = |direction| number == u16::from(standard.of(direction).manager);
         let window = match record.usage {
             SyncManagerUse::Outputs if may_be(register::CONTROL_MASTER_WRITES) => &mut outputs,
-            SyncManagerUse::Outputs if !is_standard_of(Direction::Inputs) => &mut doubtful_outputs,
+            SyncManagerUse::Outputs => &mut doubtful_outputs,
             SyncManagerUse::Inputs if may_be(0) => &mut inputs,
-            SyncManagerUse::Inputs if !is_standard_of(Direction::Outputs) => &mut doubtful_inputs,
+            SyncManagerUse::Inputs => &mut doubtful_inputs,
             _ => continue,
         };
         if record.flags & sii::SYNC_MANAGER_VIRTUAL == 0 {
@@ -305,14 +303,22 @@ async fn listed_windows<const MESSAGE: usize>(
             break;
         }
     }
-    match (outputs.or(inputs), doubtful_outputs, doubtful_inputs) {
-        (None, Some(_), Some(_)) => {}
-        _ => {
-            outputs = outputs.or(doubtful_outputs);
-            inputs = inputs.or(doubtful_inputs);
-        }
-    }
-    Ok(Windows::listed(outputs, inputs))
+    Ok(chosen([outputs, inputs], [doubtful_outputs, doubtful_inputs]))
+}
+
+/// The sync managers for outputs and inputs, from those that are listed, and those whose entries contradict themselves.
+fn chosen(sure: [Option<Window>; 2], doubtful: [Option<Window>; 2]) -> Windows {
+    let standard = Windows::standard(0, 0);
+    let (of_outputs, of_inputs) = (standard.outputs.manager, standard.inputs.manager);
+    let [outputs, inputs] = match (sure, doubtful) {
+        ([None, None], [Some(_), Some(_)]) => [None; 2],
+        ([None, None], [outputs, inputs]) => [
+            outputs.filter(|window| window.manager != of_inputs),
+            inputs.filter(|window| window.manager != of_outputs),
+        ],
+        ([outputs, inputs], [more_outputs, more_inputs]) => [outputs.or(more_outputs), inputs.or(more_inputs)],
+    };
+    Windows::listed(outputs, inputs)
 }
 
 /// Writes a value; false when the drive refuses it.
@@ -543,7 +549,6 @@ mod tests {
 
     #[test]
     fn the_sync_managers_are_the_first_that_are_listed_behind_a_mailbox() {
-        const NONE: u8 = u8::MAX;
         let mut random = 1_u32;
         let mut below = |limit: u32| {
             random = random.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
@@ -569,16 +574,17 @@ mod tests {
             };
             let records: Vec<[u8; 8]> = list.iter().map(record).collect();
             let found = windows(&records, has_mailbox);
-            let listed = |usage, controls: &[u8], not: u8| {
+            let listed = |usage, controls: &[u8]| {
                 let numbered = (0_u8..).zip(&list).skip(if has_mailbox { 2 } else { 0 });
                 let mut real = numbered.filter(|(_, record)| (record.2, record.3) == (usage, 0));
-                let found = real.find(|(number, record)| controls.contains(&record.1) && *number != not);
+                let found = real.find(|(_, record)| controls.contains(&record.1));
                 found.map(|(number, record)| (number, if record.0 < PROCESS_MEMORY { 0 } else { record.0 }))
             };
-            let (mut outputs, mut inputs) = (listed(3, &[0x64, 0], NONE), listed(4, &[0x20, 0], NONE));
-            let doubtful = (listed(3, &[0x20], 3), listed(4, &[0x64], 2));
-            let are_exchanged = (outputs, inputs) == (None, None) && doubtful.0.is_some() && doubtful.1.is_some();
-            if !are_exchanged {
+            let (mut outputs, mut inputs) = (listed(3, &[0x64, 0]), listed(4, &[0x20, 0]));
+            let doubtful = (listed(3, &[0x20]), listed(4, &[0x64]));
+            let is_of = |number: u8, entry: Option<(u8, u16)>| entry.is_some_and(|entry| entry.0 == number);
+            let is_slip = is_of(3, doubtful.0) || is_of(2, doubtful.1) || doubtful.0.is_some() && doubtful.1.is_some();
+            if (outputs, inputs) != (None, None) || !is_slip {
                 outputs = outputs.or(doubtful.0);
                 inputs = inputs.or(doubtful.1);
             }
@@ -619,6 +625,15 @@ mod tests {
         let unused = record(0, 0, 0);
         assert_eq!(found(&[unused, unused, unused, doubtful_out]), [(2, 0), (3, 0)]);
         assert_eq!(found(&[unused, unused, doubtful_input]), [(2, 0), (3, 0)]);
+        assert_eq!(
+            found(&[unused, unused, doubtful_input, unused, doubtful_out]),
+            [(2, 0), (3, 0)]
+        );
+        // Beside a sure entry there is no doubt about the direction.
+        assert_eq!(
+            found(&[unused, unused, doubtful_input, out]),
+            [(3, 0x1100), (2, 0x1400)]
+        );
         assert_eq!(found(&[doubtful_input, doubtful_out, out]), [(2, 0x1100), (0, 0x1400)]);
     }
 

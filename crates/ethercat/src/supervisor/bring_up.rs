@@ -279,7 +279,8 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             self.read_again(number).await.map_err(at)?;
         }
         self.check_terminal(number)?;
-        let is_new = self.slaves.get(number).is_some_and(|slave| !slave.data.is_known());
+        let is_new = |slave: &Slave<F>| !slave.data.is_known() && !slave.has_own_data();
+        let is_new = self.slaves.get(number).is_some_and(is_new);
         let mut windows = self.twin(number).filter(|_| is_new).map(|twin| twin.windows);
         loop {
             self.reach_pre_operational(number).await?;

@@ -106,11 +106,18 @@ struct Failure {
 }
 
 impl Failure {
-    /// Whether a slave did not go to SAFEOP.
+    /// Whether a slave answered, but not as its configuration demands.
     const fn is_refusal(&self) -> bool {
+        use BusError::{Alignment, Mapping, ProcessLength, Range, SdoAbort, State, StateTimeout};
         matches!(
-            (self.step, &self.error),
-            (Step::SafeOperational, BusError::State { .. })
+            self.error,
+            Alignment { .. }
+                | Mapping { .. }
+                | ProcessLength { .. }
+                | Range { .. }
+                | SdoAbort { .. }
+                | State { .. }
+                | StateTimeout { .. }
         )
     }
 

@@ -28,7 +28,8 @@ fn found(mut chain: Chain, is_used: bool) -> Result<[Option<Width>; 4], BusError
 #[test]
 fn wrong_working_counters_take_no_slaves_clock_away() {
     for added in ADDED {
-        for (first, count) in (1..40).flat_map(|first| (0..TRIES).map(move |count| (first, count))) {
+        // A slave without a time answers with 0 half of the times at least.
+        for (first, count) in (1..40).flat_map(|first| (0..=TRIES / 2).map(move |count| (first, count))) {
             let mut widths = found(chain(added, first..first + count), true).expect("an end of the wrong counters");
             if added == 1 {
                 // Where 0 is true, 1 cannot be told from a true one.
