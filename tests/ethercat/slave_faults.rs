@@ -57,6 +57,11 @@ pub(crate) fn a_refused_state_is_reported_with_its_code_even_0_and_reached_at_th
             for slave in [1, 3] {
                 let mut rig = idle_rig("");
                 rig.cell.inject(Fault::Refuse(slave, state, code));
+                // A drive that refuses the sync managers of an equal one is configured once more with its own.
+                let is_tried_again = (slave, state, code) == (3, SafeOperational, 0x001D);
+                if is_tried_again {
+                    rig.cell.inject(Fault::Refuse(slave, state, code));
+                }
                 rig.start();
                 let what = format!("slave {slave} refuses {state:?} with {code:#06X}");
                 let found = refusal(&mut rig);

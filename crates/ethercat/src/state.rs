@@ -368,12 +368,17 @@ pub const fn al_code_text(code: u16) -> &'static str {
     }
 }
 
+/// Whether an AL status code says that a slave does not take its process data or their sync managers.
+pub(crate) const fn is_about_process_data(code: u16) -> bool {
+    matches!(code, 0x0017 | 0x001D | 0x001E | 0x0024 | 0x0025 | 0x0026)
+}
+
 /// Suggested remedy for an AL status code.
 pub const fn al_code_hint(code: u16) -> &'static str {
     match code {
         0x0011 | 0x0012 => "go up one state at a time; power-cycle the slave if it persists",
         0x0015 | 0x0016 => "compare the mailbox windows with the slave's SII",
-        0x0017 | 0x001D | 0x001E | 0x0024 | 0x0025 | 0x0026 => "compare process data lengths with the objects selected",
+        code if is_about_process_data(code) => "compare process data lengths with the objects selected",
         0x001A | 0x002C | 0x002D | 0x0030..=0x0035 => "check cycle time and clock settings",
         0x001B => {
             "keep cyclic data running before and in OP; look for lost frames or a watchdog shorter than the pauses"

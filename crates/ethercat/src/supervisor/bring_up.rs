@@ -286,7 +286,7 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             self.reach_pre_operational(number).await?;
             match self.configure(number, windows).await {
                 // Those of the equal slave may not fit.
-                Err(failure) if failure.is_refusal() && windows.take().is_some() => {}
+                Err(failure) if failure.is_about_data() && windows.take().is_some() => {}
                 other => return other,
             }
         }

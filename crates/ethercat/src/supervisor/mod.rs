@@ -38,6 +38,7 @@ pub use super::event::{BusCommand, BusEvent, BusSetup, Step};
 use super::slave::Condition;
 use super::slave_set::SlaveSet;
 use crate::port_state::PortState;
+use crate::state;
 pub use bring_up::DISCOVERY_TIMEOUT_MS;
 use bus::Bus;
 use core::pin::pin;
@@ -106,19 +107,17 @@ struct Failure {
 }
 
 impl Failure {
-    /// Whether a slave answered, but not as its configuration demands.
-    const fn is_refusal(&self) -> bool {
-        use BusError::{Alignment, Mapping, ProcessLength, Range, SdoAbort, State, StateTimeout};
-        matches!(
-            self.error,
-            Alignment { .. }
-                | Mapping { .. }
-                | ProcessLength { .. }
-                | Range { .. }
-                | SdoAbort { .. }
-                | State { .. }
-                | StateTimeout { .. }
-        )
+    /// Whether a slave does not take its process data or their sync managers.
+    const fn is_about_data(&self) -> bool {
+        match self.error {
+            BusError::State { code, .. } => state::is_about_process_data(code),
+            BusError::Alignment { .. }
+            | BusError::Mapping { .. }
+            | BusError::ProcessLength { .. }
+            | BusError::Range { .. }
+            | BusError::SdoAbort { .. } => true,
+            _ => false,
+        }
     }
 
     fn of(position: u16, step: Step) -> impl Fn(BusError) -> Self {
