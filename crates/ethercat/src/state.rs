@@ -370,7 +370,7 @@ pub const fn al_code_text(code: u16) -> &'static str {
 
 /// Whether an AL status code says that a slave does not take its process data or their sync managers.
 pub(crate) const fn is_about_process_data(code: u16) -> bool {
-    matches!(code, 0x0017 | 0x001D | 0x001E | 0x0024 | 0x0025 | 0x0026)
+    matches!(code, 0x0017 | 0x001C | 0x001D | 0x001E | 0x0024 | 0x0025 | 0x0026)
 }
 
 /// Suggested remedy for an AL status code.

@@ -298,6 +298,8 @@ impl Orders {
             Command::Move { .. } | Command::Pen { .. } => {
                 if self.moving.answer() {
                     self.begin(Order::Single);
+                    // It is not accepted while drawing: a drawing that was ordered before it was refused, or has ended.
+                    self.path.forget_before(self.moving);
                 }
             }
             Command::Draw { .. } | Command::Resume => {

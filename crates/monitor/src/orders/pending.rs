@@ -27,6 +27,14 @@ impl Pending {
         self.count = 0;
     }
 
+    /// Forgets these commands if all of them came before those of another kind: the answer to one of those shows that these have
+    /// been decided on.
+    pub(crate) fn forget_before(&mut self, others: Self) {
+        if self.since_ms < others.since_ms {
+            self.forget();
+        }
+    }
+
     pub(crate) fn is_waiting(self) -> bool {
         self.count > 0
     }

@@ -96,6 +96,30 @@ fn an_answer_that_is_lost_counts_as_yes_and_a_late_one_after_a_stop_as_nothing()
 }
 
 #[test]
+fn a_drawing_without_an_answer_is_none_once_a_later_move_is_accepted() {
+    let (draw, go) = (Command::Draw { job: 1 }, Command::Move { position_mm: [0.0; 3] });
+    for (draw_ms, move_ms, expected) in [(10, 20, Order::Single), (20, 10, Order::Path)] {
+        let mut desk = Desk::new();
+        for time_ms in 1..2_000 {
+            desk.at(time_ms);
+            if time_ms == draw_ms {
+                desk.take(Input::Commanded(draw));
+            }
+            if time_ms == move_ms {
+                desk.take(Input::Commanded(go));
+            }
+            if time_ms == 30 {
+                desk.hear(&Report::Accepted(go));
+            }
+        }
+        assert_eq!(
+            desk.orders.order, expected,
+            "a drawing at {draw_ms} ms, a move at {move_ms} ms"
+        );
+    }
+}
+
+#[test]
 fn a_stop_needs_an_acknowledgement_before_enabling() {
     let mut desk = Desk::new();
     desk.command(Command::Stop);
