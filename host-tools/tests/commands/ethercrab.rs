@@ -341,15 +341,20 @@ async fn run_mixed(maindevice: &MainDevice<'_>) -> Result<(usize, usize), Error>
         }
     }
     let mut wrong = 0;
-    let (start, _) = cycle_mixed(maindevice, &group, (0, 0x0F, 0)).await?;
-    let mut end = start.clone();
+    let (mut last, _) = cycle_mixed(maindevice, &group, (0, 0x0F, 0)).await?;
+    // Cycles in which a drive's position grew and became smaller: one that repeats after a turn falls once a turn.
+    let mut changes = vec![[0_usize; 2]; last.len()];
     for cycle in 0..CYCLES {
         let (drives, is_right) = cycle_mixed(maindevice, &group, (DEMAND, 0x0F, (cycle & 0xF) as u8)).await?;
         wrong += usize::from(!is_right);
-        end = drives;
+        for ((then, now), [grew, fell]) in last.iter().zip(&drives).zip(&mut changes) {
+            *grew += usize::from(now.0 > then.0);
+            *fell += usize::from(now.0 < then.0);
+        }
+        last = drives;
     }
-    let turned = start.iter().zip(&end).all(|(then, now)| now.0 > then.0);
-    assert!(turned, "from {start:x?} to {end:x?}");
+    let turned = changes.iter().all(|[grew, fell]| grew > fell);
+    assert!(turned, "{changes:?}, at {last:x?}");
     check_sync0(maindevice, &group).await?;
     Ok((CYCLES, wrong))
 }
