@@ -32,6 +32,8 @@ const ACKNOWLEDGED_MAX: u32 = 3;
 const RESETS_MAX: u32 = 1;
 /// Drives that can be put in the place of another one: product code, and the name in the script of faults.
 const PRODUCTS: [(u32, &str); 2] = [(0x07D0_6014, "ax2000"), (0x0402, "cia402")];
+/// Speed of a joint below which it counts as resting, rad/s.
+const RESTING_RAD_S: f64 = 0.05;
 /// How far from the middle of the sheet detours lead, sides of the sheet.
 const DETOUR_SHEETS: f64 = 2.0;
 /// Pause between two decisions once everything is healed, ms.
@@ -265,6 +267,16 @@ impl Operator<'_> {
             .is_some_and(|status| status.override_percent != 100)
         {
             return self.say(Command::Override { percent: 100 });
+        }
+        // The motors follow the end of a motion, and a low pen may touch meanwhile: that ink is not the drawing's.
+        if self
+            .world
+            .truth()
+            .speeds_rad_s
+            .iter()
+            .any(|speed| speed.abs() > RESTING_RAD_S)
+        {
+            return;
         }
         let inked = self.world.look(|cell, _| ink::points(cell.ink()));
         self.stage = Stage::Testing { since_ms, inked };
