@@ -266,6 +266,26 @@ fn drives_that_were_off_or_away_for_long_get_the_time_back_with_one_acknowledgem
     }
 }
 
+#[test]
+fn clocks_that_return_as_the_one_that_distributed_its_time_goes_keep_theirs() {
+    // The board may see both at the same look at the slaves.
+    for away_ms in (40..120).step_by(8) {
+        println!("away for {away_ms} ms");
+        let mut robot = with(true).enabled().in_a_drawing();
+        robot.inject(CellFault::Cut(1));
+        robot.run(away_ms);
+        robot.inject(CellFault::Join);
+        robot.inject(CellFault::Power(1, 2));
+        robot.run(2_500);
+        robot.steps = Some(Steps::default());
+        assert_eq!(acknowledge(&mut robot), None);
+        robot.run(1_000);
+        assert_no_jump(&mut robot, &[2, 3, 4], [1_000, 10_000], "taken back");
+        assert_truly_agree(&mut robot, &[1, 2, 3, 4], "taken back");
+        assert_eq!(come_back(&mut robot, 0), 0);
+    }
+}
+
 /// True differences of the clocks of these slaves, from 1, from that of the first of them, ns.
 fn true_differences_ns(robot: &mut Robot, slaves: &[usize]) -> Vec<i64> {
     let mut times_ns = Vec::new();
