@@ -378,6 +378,7 @@ pub const fn al_code_hint(code: u16) -> &'static str {
     match code {
         0x0011 | 0x0012 => "go up one state at a time; power-cycle the slave if it persists",
         0x0015 | 0x0016 => "compare the mailbox windows with the slave's SII",
+        0x001C => "compare the sync managers' types (0x1C00) with the slave's SII",
         code if is_about_process_data(code) => "compare process data lengths with the objects selected",
         0x001A | 0x002C | 0x002D | 0x0030..=0x0035 => "check cycle time and clock settings",
         0x001B => {

@@ -87,7 +87,9 @@ impl OtherMaster {
         let mut master = Running::start(&mut network.command(1, &program));
         let status = master.end_within(PATIENCE);
         let (said, told) = (master.stderr(), segment.stderr());
-        if !status.success() && said.contains(LOST) {
+        // What ended it stands in the last line; a master may have tried several times before.
+        let ended_by = said.lines().rfind(|line| !line.trim().is_empty());
+        if !status.success() && ended_by.is_some_and(|line| line.contains(LOST)) {
             println!("{}: {said}", self.name);
             return None;
         }

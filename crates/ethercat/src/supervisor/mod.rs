@@ -107,7 +107,8 @@ struct Failure {
 }
 
 impl Failure {
-    /// Whether a slave does not take its process data or their sync managers.
+    /// Whether a slave may not have taken its process data or their sync managers: some refusals have other reasons too, as an
+    /// object that cannot be written.
     const fn is_about_data(&self) -> bool {
         match self.error {
             BusError::State { code, .. } => state::is_about_process_data(code),

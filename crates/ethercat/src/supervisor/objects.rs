@@ -104,3 +104,26 @@ fn text(bytes: &[u8]) -> Name {
     }
     name
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_ends_at_its_first_nul_or_at_what_is_no_text() {
+        for (bytes, name) in [
+            (&b"AX2006"[..], "AX2006"),
+            (b"AX2006\0\0", "AX2006"),
+            (b"AX\x002006", "AX"),
+            (b"\0AX", ""),
+            (b"AX\xFF2006", "AX"),
+            ("Ger\u{E4}t".as_bytes(), "Ger\u{E4}t"),
+            (b"", ""),
+        ] {
+            assert_eq!(text(bytes).as_str(), name, "{bytes:?}");
+        }
+        // No character is cut in two.
+        let long = "\u{E4}".repeat(NAME_BYTES_MAX);
+        assert!((NAME_BYTES_MAX - 1..=NAME_BYTES_MAX).contains(&text(long.as_bytes()).len()));
+    }
+}
