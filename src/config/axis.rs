@@ -196,3 +196,22 @@ impl Default for Axis {
         }
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_drive_trips_before_its_feedback_could_be_believed_too_long() {
+        let window_rad = |own_rad, feedback_rad| {
+            let axis = Axis {
+                following_error_max_rad: own_rad,
+                feedback_deviation_max_rad: feedback_rad,
+                ..Axis::default()
+            };
+            axis.drive().following_error_max_rad
+        };
+        assert_eq!(window_rad(0.1, 0.01), DRIVE_WINDOW_SHARE * 0.01);
+        assert_eq!(window_rad(0.002, 0.01), 0.002);
+    }
+}
