@@ -267,7 +267,11 @@ pub(crate) fn with(mode: AxisMode, speed_mm_s: f64) -> Config {
 
 /// The default configuration with all drives in a mode.
 pub(crate) fn in_mode(mode: AxisMode) -> Config {
-    let mut config = Config::default();
+    with_mode(Config::default(), mode)
+}
+
+/// A configuration with all drives in a mode.
+pub(crate) fn with_mode(mut config: Config, mode: AxisMode) -> Config {
     for axis in &mut config.axes {
         axis.mode = mode;
         match mode {

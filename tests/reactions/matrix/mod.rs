@@ -4,7 +4,7 @@
 //! when the fault has ended. The virtual cell's motors tell when everything stands and how far the pen is astray. The
 //! firmware's report tells what the operator reads.
 //!
-//! "Noticed after" ends with the first of two events: the firmware reports a new fault or a hold, or a drive that the
+//! "Noticed after" ends with the first of two events: the firmware reports a new fault, a hold or the end of a search, or a drive that the
 //! fault does not hit begins to brake or loses power, by the controller's command or by its own watchdog. The state of
 //! the drive that the fault hits is the fault itself and does not count. A report counts when it leaves the board, so
 //! that the operator's unplugged cable does not delay it. While the robot stops, every drive brakes anyway; then a drive
@@ -113,11 +113,12 @@ impl Before {
         fault.is_some() && fault != self.fault
     }
 
-    /// Whether the board has reported a new fault or a hold.
+    /// Whether the board has reported a new fault, a hold, or the end of a search.
     fn has_reported(&self, robot: &Robot) -> bool {
         robot.reported.as_ref().is_some_and(|status| {
             let holds = status.mode == Mode::Holding && self.mode != Mode::Holding;
-            holds || self.is_new(status.fault)
+            let ends = status.mode != Mode::Homing && self.mode == Mode::Homing;
+            holds || ends || self.is_new(status.fault)
         })
     }
 
@@ -157,12 +158,15 @@ fn measure(situation: &Situation, trouble: &Trouble) -> Outcome {
             outcome.astray_mm = outcome.astray_mm.max(track.distance_mm(platform));
         }
     }
-    let is_ordered_to_go_on = matches!(situation.mode, Mode::Moving | Mode::Drawing) && outcome.noticed_ms.is_none();
+    let goes_on = matches!(situation.mode, Mode::Moving | Mode::Drawing | Mode::Homing);
+    let is_ordered_to_go_on = goes_on && outcome.noticed_ms.is_none();
     outcome.stands_ms = (moved_ms < WATCHED_MS && !is_ordered_to_go_on).then_some(moved_ms);
     outcome.told = robot.fault().filter(|fault| before.is_new(Some(*fault))).map(|fault| {
         let text = text::fault(&fault);
         text.split([';', ':', '(']).next().unwrap_or_default().trim().to_owned()
     });
+    // A search comes to its switch after what is watched.
+    assert_eq!(robot.cell().end_stop_ms, 0, "{situation:?}, {}", trouble.name);
     outcome.steps = bring_back(&mut robot, situation, trouble.machine, was_referenced);
     outcome.is_lost = !comes_to_its_target(&mut robot);
     if outcome.is_lost {
@@ -200,14 +204,14 @@ fn bring_back(robot: &mut Robot, situation: &Situation, machine: Machine, was_re
                 robot.run(500);
                 (situation.mode != Mode::Holding).then_some("resume")
             }
-            Mode::DrivesOff | Mode::Unreferenced | Mode::Idle if !referenced => {
+            Mode::DrivesOff | Mode::Unreferenced | Mode::Idle if !referenced && can_home(robot) => {
                 home(robot);
-                was_referenced.then_some("home")
+                (was_referenced || situation.mode == Mode::Homing).then_some("home")
             }
             Mode::DrivesOff => {
                 insist(robot, Command::Enable);
                 robot.run(20);
-                let has_ended = |robot: &Robot| matches!(robot.mode(), Mode::Idle | Mode::Fault);
+                let has_ended = |robot: &Robot| matches!(robot.mode(), Mode::Unreferenced | Mode::Idle | Mode::Fault);
                 robot.run_until("the enabling ends", has_ended);
                 situation.has_power().then_some("enable")
             }
@@ -215,7 +219,7 @@ fn bring_back(robot: &mut Robot, situation: &Situation, machine: Machine, was_re
                 let is_busy = |mode| {
                     matches!(
                         mode,
-                        Mode::Moving | Mode::Drawing | Mode::Stopping | Mode::BusConfiguring
+                        Mode::Moving | Mode::Drawing | Mode::Homing | Mode::Stopping | Mode::BusConfiguring
                     )
                 };
                 robot.run(20);
@@ -246,7 +250,17 @@ fn insist(robot: &mut Robot, command: Command) {
     panic!("{command:?} is refused for ever: {:?}", robot.status);
 }
 
+/// A search for switches needs power.
+fn can_home(robot: &Robot) -> bool {
+    !robot.config().has_home_switches() || robot.mode() != Mode::DrivesOff
+}
+
 fn home(robot: &mut Robot) {
+    if robot.config().has_home_switches() {
+        insist(robot, Command::Home);
+        robot.run(20);
+        return robot.run_until("the search ends", |robot| robot.mode() != Mode::Homing);
+    }
     let pose = robot.cell().joints;
     insist(robot, Command::HomeAt { pose, position: None });
     robot.run(100);
@@ -257,12 +271,15 @@ fn comes_to_its_target(robot: &mut Robot) -> bool {
     let Some(from) = robot.cell().platform else {
         return false;
     };
+    let centre = robot.config().paper.centre_mm;
+    // The default robot stands low in its work area, and the homed gantry high.
+    let upwards = if robot.config().has_home_switches() { -1.0 } else { 1.0 };
     let position = Position {
-        x_mm: 0.5 * from.x_mm,
-        y_mm: 0.5 * from.y_mm,
-        z_mm: from.z_mm + PROOF_MM,
+        x_mm: 0.5 * (from.x_mm + centre[0]),
+        y_mm: 0.5 * (from.y_mm + centre[1]),
+        z_mm: from.z_mm + upwards * PROOF_MM,
     };
-    robot.command(Command::Move { position }).expect("a way upwards");
+    robot.command(Command::Move { position }).expect("a way to the middle");
     robot.run(20);
     robot.wait_for(Mode::Idle);
     robot.run(200);

@@ -2,7 +2,7 @@
 
 use super::fault::{CLOSED, Machine, OUTPUT_TERMINAL, STOP_TERMINAL};
 use crate::STILL_RAD_S;
-use crate::feedback::in_mode;
+use crate::feedback::{in_mode, with_mode};
 use crate::robot::Robot;
 use etherpen::application::{Fault, Mode, StopSource};
 use etherpen::config::{AxisMode, Config, IoDirection, IoPoint, IoRole};
@@ -10,6 +10,7 @@ use etherpen::messages::{Command, PathVertex};
 use etherpen::motion::Pen;
 use etherpen::robots::{AXES, Position};
 use host_tools::cell::{CellOptions, PlaceOptions, parse_slaves};
+use host_tools::settings::machines::MACHINES;
 
 /// Alias of the first drive, where the drives have one.
 const FIRST_ALIAS: u16 = 31;
@@ -31,6 +32,21 @@ const BRAKING_FULL_MS: u32 = 6;
 /// Time from HOLD to the fault, ms. A motor still moves then.
 const HOLDING_MS: u32 = 60;
 
+/// The gantry's terminal with the home switches, from 1, behind its drives and a coupler.
+const SWITCHES: u8 = 5;
+/// The gantry's second axis searches for its switch in this direction, from here, mm.
+const SEARCH_FROM: Position = Position {
+    x_mm: 300.0,
+    y_mm: 465.0,
+    z_mm: -5.0,
+};
+const SEARCH_TO_Y_MM: f64 = 0.0;
+/// Way of the search after which the fault begins, mm.
+const SEARCHED_MM: f64 = 10.0;
+/// Speed of the search at full speed, mm/s: the switch is not reached while the robot is watched.
+const SEARCH_FULL_MM_S: f64 = 100.0;
+const MM_PER_RAD: f64 = 100.0;
+
 /// An operating mode, and the speed of the pen in it.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Situation {
@@ -51,7 +67,7 @@ const fn at(name: &'static str, mode: Mode, speed_mm_s: f64) -> Situation {
 }
 
 /// The tables.
-pub(super) static SITUATIONS: [Situation; 14] = [
+pub(super) static SITUATIONS: [Situation; 16] = [
     at("Startup", Mode::Startup, 0.0),
     at("Bus configuring", Mode::BusConfiguring, 0.0),
     at("Drives off", Mode::DrivesOff, 0.0),
@@ -66,6 +82,8 @@ pub(super) static SITUATIONS: [Situation; 14] = [
     at("Stopping, from 20 mm/s", Mode::Stopping, LOW_MM_S),
     at("Stopping, from 1,000 mm/s", Mode::Stopping, FULL_MM_S),
     at("Fault", Mode::Fault, 0.0),
+    at("Homing at 20 mm/s", Mode::Homing, LOW_MM_S),
+    at("Homing at 100 mm/s", Mode::Homing, SEARCH_FULL_MM_S),
 ];
 
 /// The line that the pen was ordered to follow; a point where nothing moves.
@@ -126,28 +144,15 @@ fn stroke() -> Vec<PathVertex> {
     ]
 }
 
-/// The cell of such a robot.
-fn cell(machine: Machine, drives: AxisMode) -> CellOptions {
-    let mut options = CellOptions::default();
-    match machine {
-        Machine::Usual => {}
-        Machine::Aliases => {
-            let place = |alias| PlaceOptions {
-                alias,
-                serial: Some(0),
-                ..PlaceOptions::default()
-            };
-            options.places = (FIRST_ALIAS..).take(AXES).map(place).collect();
-        }
-        Machine::Terminals => {
-            let drive = match drives {
-                AxisMode::Position => "cia402",
-                AxisMode::Velocity | AxisMode::Torque => "ax2000",
-            };
-            options.slaves = parse_slaves(&format!("{drive}*4,ek1100,el1008,el2004")).expect("a chain");
-        }
+/// A gantry whose second axis searches after the height, alone, at this speed; its drives are the first slaves.
+fn gantry(drives: AxisMode, speed_mm_s: f64) -> Config {
+    let mut config = with_mode(MACHINES[1].load().expect("the gantry"), drives);
+    for point in &mut config.io {
+        point.slave = SWITCHES - 1;
     }
-    options
+    config.axes[0].home.order = 3;
+    config.axes[1].home.speed_rad_s = -speed_mm_s / MM_PER_RAD;
+    config
 }
 
 impl Situation {
@@ -159,13 +164,54 @@ impl Situation {
         }
     }
 
-    /// The configuration, in which the line is driven at the situation's speed.
-    pub(super) fn config(&self, machine: Machine) -> Config {
-        let mut config = in_mode(self.drives);
+    /// The cell of such a robot.
+    fn cell(&self, machine: Machine) -> CellOptions {
+        let mut options = CellOptions::default();
+        let drive = match self.drives {
+            AxisMode::Position => "cia402",
+            AxisMode::Velocity | AxisMode::Torque => "ax2000",
+        };
+        let usual = match self.mode {
+            Mode::Homing => format!("{drive}*3,ek1100,el1008"),
+            _ => format!("{drive}*4,ek1100"),
+        };
+        let chain = |chain: &str| parse_slaves(chain).expect("a chain");
+        if self.mode == Mode::Homing {
+            options.slaves = chain(&usual);
+        }
         match machine {
             Machine::Usual => {}
             Machine::Aliases => {
-                for (alias, axis) in (FIRST_ALIAS..).zip(&mut config.axes) {
+                let place = |alias| PlaceOptions {
+                    alias,
+                    serial: Some(0),
+                    ..PlaceOptions::default()
+                };
+                options.places = (FIRST_ALIAS..).take(self.axes()).map(place).collect();
+            }
+            Machine::Terminals => options.slaves = chain(&format!("{usual},el1008,el2004")),
+        }
+        options
+    }
+
+    /// Number of axes.
+    fn axes(&self) -> usize {
+        match self.mode {
+            Mode::Homing => AXES - 1,
+            _ => AXES,
+        }
+    }
+
+    /// The configuration, in which the line is driven at the situation's speed.
+    pub(super) fn config(&self, machine: Machine) -> Config {
+        let mut config = match self.mode {
+            Mode::Homing => gantry(self.drives, self.speed_mm_s),
+            _ => in_mode(self.drives),
+        };
+        match machine {
+            Machine::Usual => {}
+            Machine::Aliases => {
+                for (alias, axis) in (FIRST_ALIAS..).zip(&mut config.axes[..self.axes()]) {
                     axis.alias = alias;
                 }
             }
@@ -184,7 +230,7 @@ impl Situation {
                 ]);
             }
         }
-        if self.travels() {
+        if self.travels() && self.mode != Mode::Homing {
             config.motion.speed_mm_s = self.speed_mm_s;
             config.motion.travel_speed_mm_s = self.speed_mm_s;
         }
@@ -214,7 +260,7 @@ impl Situation {
     /// Brings a robot there.
     pub(super) fn reach(&self, machine: Machine) -> (Robot, Track) {
         let config = self.config(machine);
-        let mut robot = Robot::of(&config, cell(machine, self.drives));
+        let mut robot = Robot::of(&config, self.cell(machine));
         if machine == Machine::Terminals {
             robot.set_inputs(STOP_TERMINAL, CLOSED);
         }
@@ -243,6 +289,7 @@ impl Situation {
                 robot.command(Command::Stop).expect("a stop");
                 robot.wait_for(Mode::Fault);
             }
+            Mode::Homing => return search(robot),
             _ => return self.travel(robot.enabled()),
         }
         robot.run(100);
@@ -304,4 +351,37 @@ impl Situation {
         );
         (robot, track)
     }
+}
+
+/// Brings a gantry that has been homed into the search of its second axis, at speed.
+fn search(mut robot: Robot) -> (Robot, Track) {
+    let config = robot.config().clone();
+    robot.configure(&config);
+    robot.wait_for(Mode::DrivesOff);
+    robot.command(Command::Enable).expect("drives");
+    robot.wait_for(Mode::Unreferenced);
+    robot.command(Command::Home).expect("switches");
+    robot.run_until("homed", |robot| robot.mode() == Mode::Idle);
+    let position = SEARCH_FROM;
+    robot
+        .command(Command::Move { position })
+        .expect("a way from the switches");
+    robot.run(20);
+    robot.wait_for(Mode::Idle);
+    robot.run(100);
+    robot.command(Command::Home).expect("switches");
+    let place = |robot: &Robot| robot.cell().platform.expect("a gantry's tool");
+    robot.run_until("the second axis searches", |robot| {
+        place(robot).y_mm < SEARCH_FROM.y_mm - SEARCHED_MM
+    });
+    let from = place(&robot);
+    let track = Track {
+        from,
+        to: Position {
+            y_mm: SEARCH_TO_Y_MM,
+            ..from
+        },
+        draws: false,
+    };
+    (robot, track)
 }
