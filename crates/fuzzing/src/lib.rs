@@ -11,6 +11,7 @@ mod configuration;
 mod console;
 mod drawing;
 mod ethercat;
+mod files;
 mod firmware;
 mod frame;
 pub mod hostile;
@@ -34,7 +35,7 @@ pub struct Target {
 }
 
 /// All targets.
-pub const TARGETS: [Target; 19] = [
+pub const TARGETS: [Target; 25] = [
     target("frame", frame::run, frame::seeds),
     target("sii", ethercat::sii, ethercat::sii_seeds),
     target("mailbox", ethercat::mailbox, ethercat::mailbox_seeds),
@@ -54,6 +55,12 @@ pub const TARGETS: [Target; 19] = [
     target("pcapng", recording::pcapng, recording::pcapng_seeds),
     target("console", console::messages, console::message_seeds),
     target("http", console::http, console::http_seeds),
+    target("black_box", files::black_box, files::black_box_seeds),
+    target("elf", files::elf, files::elf_seeds),
+    target("cell_toml", files::cell_toml, files::cell_seeds),
+    target("case", files::case, files::case_seeds),
+    target("esi", files::esi, files::esi_seeds),
+    target("control", files::control, files::control_seeds),
 ];
 
 const fn target(name: &'static str, run: fn(&[u8]), seeds: fn() -> Vec<Vec<u8>>) -> Target {
