@@ -8,7 +8,7 @@ use std::{env, fs};
 /// A copy: its name, the source, and what is replaced by what.
 type Copied = (&'static str, &'static str, &'static [(&'static str, &'static str)]);
 
-const COPIES: [Copied; 5] = [
+const COPIES: [Copied; 8] = [
     (
         "descriptors.rs",
         "src/ethernet/descriptors.rs",
@@ -58,6 +58,28 @@ const COPIES: [Copied; 5] = [
                 "/// Releases of the trajectory task that found an earlier one not completed.\npub(crate) static TRAJECTORY_OVERRUNS: AtomicU32 = AtomicU32::new(0);",
                 OVERRUNS,
             ),
+        ],
+    ),
+    (
+        "memory.rs",
+        "src/black_box/memory.rs",
+        &[
+            ("core::sync::atomic::", "crate::interrupted::"),
+            ("crate::board::RunEnd", "crate::RunEnd"),
+        ],
+    ),
+    (
+        "frames.rs",
+        "src/black_box/frames.rs",
+        &[("core::sync::atomic::", "crate::interrupted::")],
+    ),
+    (
+        "load.rs",
+        "src/bin/shared/load.rs",
+        &[
+            ("core::sync::atomic::", "crate::interrupted::"),
+            ("crate::board::free_run", "crate::interrupted::free_run"),
+            ("cortex_m::asm::wfi", "crate::interrupted::wait"),
         ],
     ),
 ];

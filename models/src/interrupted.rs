@@ -3,13 +3,15 @@
 //! [`explore`] runs a task once for every place of the interrupts. An interrupt runs to its end and is not interrupted.
 
 use std::cell::{Cell, RefCell};
-pub use std::sync::atomic::Ordering;
+pub use std::sync::atomic::{Ordering, compiler_fence, fence};
 
 type Handler = Box<dyn FnMut()>;
 
 thread_local! {
     /// Accesses of the task so far.
     static ACCESSES: Cell<usize> = const { Cell::new(0) };
+    /// Time: every access takes one count.
+    static TIME: Cell<u32> = const { Cell::new(0) };
     /// Accesses in front of which an interrupt comes, the last one first.
     static PLACES: RefCell<Vec<usize>> = const { RefCell::new(Vec::new()) };
     static HANDLER: RefCell<Option<Handler>> = const { RefCell::new(None) };
@@ -17,6 +19,7 @@ thread_local! {
 
 /// An access of the task: interrupts that are due come first.
 fn access() {
+    TIME.set(TIME.get().wrapping_add(1));
     let number = ACCESSES.get();
     ACCESSES.set(number + 1);
     while PLACES.with_borrow(|places| places.last() == Some(&number)) {
@@ -30,6 +33,20 @@ fn access() {
             HANDLER.set(Some(handler));
         }
     }
+}
+
+/// The free-running counter.
+pub fn free_run() -> u32 {
+    TIME.get()
+}
+
+/// Counts for which the core sleeps.
+pub const SLEEP: u32 = 1_000;
+
+/// Sleeps until an interrupt comes, whose handler the caller calls.
+pub fn wait() {
+    access();
+    TIME.set(TIME.get().wrapping_add(SLEEP));
 }
 
 /// Runs a task with one interrupt or two in all places, and returns the number of executions. `start` makes the shared data,
@@ -72,24 +89,30 @@ macro_rules! atomic {
     ($name:ident, $value:ty) => {
         /// An atomic in front of whose accesses an interrupt may come.
         #[derive(Debug, Default)]
-        pub struct $name(Cell<$value>);
+        pub struct $name(std::sync::atomic::$name);
 
         impl $name {
             /// An atomic with a value.
             pub const fn new(value: $value) -> Self {
-                Self(Cell::new(value))
+                Self(std::sync::atomic::$name::new(value))
             }
 
             /// Reads.
             pub fn load(&self, _: Ordering) -> $value {
                 access();
-                self.0.get()
+                self.0.load(Ordering::Relaxed)
             }
 
             /// Writes.
             pub fn store(&self, value: $value, _: Ordering) {
                 access();
-                self.0.set(value);
+                self.0.store(value, Ordering::Relaxed);
+            }
+
+            /// Writes, and returns the value before, in one access.
+            pub fn swap(&self, value: $value, _: Ordering) -> $value {
+                access();
+                self.0.swap(value, Ordering::Relaxed)
             }
         }
     };

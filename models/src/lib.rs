@@ -5,11 +5,24 @@
 //! come at every access and runs to its end, as on the boards. [`spsc`] stands for heapless' queue.
 
 pub mod atomic;
+pub mod black_box;
 pub mod interrupted;
 pub mod spsc;
 
 /// As in the product's sampler; the models do not depend on it.
 pub const OUTPUT_LATE_NS: u32 = 500_000;
+
+/// As in the product's board interface.
+pub enum RunEnd {
+    /// The memory had no power.
+    PowerOff,
+    /// A reset from outside.
+    Reset,
+    /// The watchdog.
+    Watchdog,
+    /// A panic.
+    Panic(()),
+}
 
 /// `src/ethernet/descriptors.rs`
 pub mod descriptors {
@@ -55,5 +68,26 @@ pub mod overruns {
     /// The end of the task that found so many releases.
     pub fn completed(due: u32) {
         trajectory_completed(due);
+    }
+}
+
+/// `src/bin/shared/load.rs` on one core.
+#[allow(dead_code)]
+pub mod load {
+    include!(concat!(env!("OUT_DIR"), "/load.rs"));
+
+    /// The idle task's sleep.
+    pub fn idle() {
+        sleep();
+    }
+
+    /// The beginning of a task that an interrupt releases.
+    pub fn task() {
+        woke();
+    }
+
+    /// Counts slept since the start.
+    pub fn slept() -> u32 {
+        slept_counts()
     }
 }

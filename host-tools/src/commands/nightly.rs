@@ -1,5 +1,6 @@
 //! `etherpen verify --nightly`: what takes longer than continuous integration may.
 
+use super::verify::MODELS;
 use crate::campaign::generate::Profile;
 use crate::error::{ProgramError, code};
 use crate::settings::machines::MACHINES;
@@ -47,7 +48,7 @@ fn miri(name: &str, tests: &str) -> Step {
 /// All steps, the shorter ones first.
 fn steps() -> Vec<Step> {
     let mut steps = vec![
-        Step::new("models", "test --release --manifest-path models/Cargo.toml"),
+        Step::new("models", &MODELS.join(" ")),
         miri(
             "miri-ethercat",
             "-p etherpen-ethercat --lib -- exchange_tests encapsulation_tests telegram acyclic frame_port",

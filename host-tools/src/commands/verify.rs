@@ -26,6 +26,9 @@ pub struct Arguments {
 /// One step: its name, and cargo's arguments.
 type Step = (&'static str, &'static [&'static str]);
 
+/// The models: a package of its own, built in a folder of its own.
+pub(super) const MODELS: [&str; 4] = ["test", "--release", "--manifest-path", "models/Cargo.toml"];
+
 /// Steps on the host.
 const HOST: [Step; 4] = [
     ("format", &["fmt", "--all", "--check"]),
@@ -52,7 +55,7 @@ const PROGRAMS: Step = (
     ],
 );
 /// The output of these is shown when they have ended.
-const LIBRARIES: [Step; 4] = [
+const LIBRARIES: [Step; 5] = [
     ("tests of libraries", &["test", "--workspace", "--lib", "--bins"]),
     (
         "tests of a master for long process data",
@@ -70,6 +73,7 @@ const LIBRARIES: [Step; 4] = [
         ],
     ),
     ("examples of the documentation", &["test", "--workspace", "--doc"]),
+    ("models of what tasks share", &MODELS),
     (
         "tests of the command line",
         &["test", "--workspace", "--test", "co[!n]*"],

@@ -22,8 +22,8 @@ pub(crate) fn sleep() {
 
 /// Records that the core is awake; call it first in every task that a hardware interrupt releases.
 pub(crate) fn woke() {
-    if ASLEEP.load(Ordering::Relaxed) {
-        ASLEEP.store(false, Ordering::Relaxed);
+    // In one access: a task that another one preempts here must not count the same sleep again.
+    if ASLEEP.swap(false, Ordering::Relaxed) {
         let slept = free_run().wrapping_sub(SLEPT_AT.load(Ordering::Relaxed));
         let total = SLEPT_COUNTS.load(Ordering::Relaxed).wrapping_add(slept);
         SLEPT_COUNTS.store(total, Ordering::Relaxed);
