@@ -267,14 +267,16 @@ fn drives_that_were_off_or_away_for_long_get_the_time_back_with_one_acknowledgem
 }
 
 #[test]
-fn clocks_that_return_as_the_one_that_distributed_its_time_goes_keep_theirs() {
-    // The board may see both at the same look at the slaves.
-    for away_ms in (40..120).step_by(8) {
-        println!("away for {away_ms} ms");
+fn clocks_that_return_keep_their_time_if_the_one_that_distributed_its_time_goes() {
+    // In the same look at the slaves, in the next ones, and long after it, before anybody has acknowledged.
+    let in_one_look = (40..120).step_by(8).map(|away_ms| (away_ms, 0));
+    for (away_ms, gap_ms) in in_one_look.chain([(60, 1), (60, 5), (60, 30), (60, 300), (60, 5_000), (2_000, 300)]) {
+        println!("away for {away_ms} ms, the first off {gap_ms} ms later");
         let mut robot = with(true).enabled().in_a_drawing();
         robot.inject(CellFault::Cut(1));
         robot.run(away_ms);
         robot.inject(CellFault::Join);
+        robot.run(gap_ms);
         robot.inject(CellFault::Power(1, 2));
         robot.run(2_500);
         robot.steps = Some(Steps::default());

@@ -64,6 +64,8 @@ pub struct SlaveClock {
     pub place: u8,
     /// Whether its clock has the time of the bus since it was last switched on.
     pub is_set: bool,
+    /// Whether its clock had the time of the bus and has run alone since, while that of others went on.
+    pub is_astray: bool,
     /// Port times latched by the last measurement, and whether it latches any; every slave with a clock does.
     pub ports: PortTimes,
     /// The slave's own time when the frame of the measurement passed its processing unit, ns.
@@ -179,6 +181,15 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
     /// Notes that a slave was switched off: its clock no longer has the time of the bus.
     pub fn was_off(&mut self, position: usize) {
         if let Some(slave) = self.slaves.get_mut(position) {
+            (slave.is_set, slave.is_astray, slave.told_delay_ns) = (false, false, NOT_TOLD);
+        }
+    }
+
+    /// Notes that the time of the others has gone on without a slave: its own is about the time of the bus, and is used for it if
+    /// the others lose theirs.
+    pub fn was_alone(&mut self, position: usize) {
+        if let Some(slave) = self.slaves.get_mut(position) {
+            slave.is_astray |= slave.is_set;
             (slave.is_set, slave.told_delay_ns) = (false, NOT_TOLD);
         }
     }
@@ -194,7 +205,7 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
     /// Notes that a slave's clock has been seen to have the time of the bus.
     pub fn found_in_time(&mut self, position: usize) {
         if let Some(slave) = self.slaves.get_mut(position) {
-            slave.is_set = true;
+            (slave.is_set, slave.is_astray) = (true, false);
         }
     }
 
@@ -254,10 +265,12 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
         }
     }
 
-    /// The slave whose time one that is set takes over: the first of the chain that has the time of the bus.
+    /// The slave whose time one that is set takes over: the first of the chain that has the time of the bus, or else the first
+    /// that had it and has run alone since.
     fn source_for(&self, position: usize) -> Option<usize> {
-        let is_source = |slave: &SlaveClock| slave.width.is_some() && slave.measured && slave.is_set;
-        self.first(|other, slave| other != position && is_source(slave))
+        let can_be = |other: usize, slave: &SlaveClock| other != position && slave.width.is_some() && slave.measured;
+        let set = self.first(|other, slave| can_be(other, slave) && slave.is_set);
+        set.or_else(|| self.first(|other, slave| can_be(other, slave) && slave.is_astray))
     }
 
     /// The offset that makes the slave at `position` agree with `source`, both measured by one frame.
@@ -403,7 +416,8 @@ async fn set_all<const SLAVES: usize, const MESSAGE: usize>(
 }
 
 /// Sets the clock of a slave that was switched off or cut off to the time of the bus. The other slaves keep their time,
-/// even if this slave is the reference. If no other clock has the time of the bus, this one continues it. What slaves that are
+/// even if this slave is the reference. If no other clock has the time of the bus, this one takes that of one that had it, or
+/// else continues it. What slaves that are
 /// lost say on their return is not the time of the bus; the slave itself must not be one of them. If nobody uses it and it cannot
 /// be measured, it is left as it is.
 ///
@@ -538,7 +552,7 @@ async fn write_offset<const SLAVES: usize, const MESSAGE: usize>(
     port.write(station, register::DC_DELAY, &delay_ns.to_le_bytes()).await?;
     restart_loop(port, station).await?;
     if let Some(slave) = clocks.slaves.get_mut(position) {
-        (slave.is_set, slave.told_delay_ns) = (true, delay_ns);
+        (slave.is_set, slave.is_astray, slave.told_delay_ns) = (true, false, delay_ns);
     }
     Ok(())
 }

@@ -502,31 +502,20 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         }
     }
 
-    /// The slave that distributed its time, unless it has gone as others return: those keep the time of the bus then.
-    async fn still_there(&mut self, distributor: Option<usize>) -> Option<usize> {
-        let number = distributor?;
-        let reports = self.reports(number..number + 1).await;
-        reports.first().is_some_and(Option::is_some).then_some(number)
-    }
-
     /// Queries slaves for their state, and reports changes.
     pub(super) async fn inspect(&mut self, numbers: Range<usize>) {
         let mut changed = false;
-        let mut distributor = self.distributor();
+        let goes_on = self.distributor().is_some();
         let last = numbers.end.min(self.slaves.len());
         for first in (numbers.start..last).step_by(LOOK_MAX) {
             let reports = self.reports(first..last.min(first + LOOK_MAX)).await;
             for (number, report) in (first..).zip(reports) {
                 let mut report = report;
                 let is_back = self.is_lost(number) && report.is_some();
-                if is_back {
-                    distributor = self.still_there(distributor).await;
-                }
                 if is_back && self.disown(number).await {
                     report = None;
-                } else if is_back && distributor.is_some() {
-                    // The time of the others has gone on without it.
-                    self.clocks.was_off(number);
+                } else if is_back && goes_on {
+                    self.clocks.was_alone(number);
                 }
                 if self.is_lost(number) != report.is_none() {
                     self.clocks.chain_changed();
