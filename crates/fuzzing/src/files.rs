@@ -208,9 +208,9 @@ pub(crate) fn control(bytes: &[u8]) {
 
 /// Each command once.
 pub(crate) fn control_seeds() -> Vec<Vec<u8>> {
-    let lines = "ek1100,el1008@name=door,el2004,cia402@alias=3*2\nhelp\nlist\nset door.1 1\nget door\nget 3.0\n\
+    let lines = "ek1100,el1008@name=door,el2004,cia402@alias=3*2\nhelp\nlist\nset door.1 1\nget door\nget 3.1\n\
          fault power door 500\nfault stuck 4 100 # a comment\nplug 2\nunplug 2\nquit\n";
-    vec![lines.as_bytes().to_vec(), b"ax2000*4\nget 9\n".to_vec()]
+    vec![lines.as_bytes().to_vec(), b"ax2000*4\nget 4\n".to_vec()]
 }
 
 #[cfg(test)]
