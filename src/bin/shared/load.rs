@@ -22,9 +22,11 @@ pub(crate) fn sleep() {
 
 /// Records that the core is awake; call it first in every task that a hardware interrupt releases.
 pub(crate) fn woke() {
-    // In one access: a task that another one preempts here must not count the same sleep again.
+    // The time first, and then in one access: a task that preempts this one counts the same sleep instead, and its own run time
+    // does not count as sleep.
+    let now = free_run();
     if ASLEEP.swap(false, Ordering::Relaxed) {
-        let slept = free_run().wrapping_sub(SLEPT_AT.load(Ordering::Relaxed));
+        let slept = now.wrapping_sub(SLEPT_AT.load(Ordering::Relaxed));
         let total = SLEPT_COUNTS.load(Ordering::Relaxed).wrapping_add(slept);
         SLEPT_COUNTS.store(total, Ordering::Relaxed);
     }
