@@ -89,7 +89,7 @@ pub(crate) fn elf(bytes: &[u8]) {
     let _ = image.has_double_precision();
 }
 
-/// An image for an Arm with a part that is loaded, a section and no symbols; one for another processor.
+/// An image for a Cortex-M with a part that is loaded, a section and no symbols; one for another processor.
 pub(crate) fn elf_seeds() -> Vec<Vec<u8>> {
     const HEAD: u16 = 52;
     const PROGRAM: u16 = 32;
