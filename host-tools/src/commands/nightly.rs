@@ -1,6 +1,5 @@
 //! `etherpen verify --nightly`: what takes longer than continuous integration may.
 
-use super::verify::MODELS;
 use crate::campaign::generate::Profile;
 use crate::error::{ProgramError, code};
 use crate::settings::machines::MACHINES;
@@ -18,6 +17,9 @@ const EMULATED_HOURS: &str = "1";
 const CAMPAIGN_SEEDS: &str = "0..100000";
 /// Time for each fuzz target, s.
 const FUZZ_S: u32 = 600;
+
+/// Runs the models: a package of its own, built in a folder of its own.
+pub(super) const MODELS: [&str; 4] = ["test", "--release", "--manifest-path", "models/Cargo.toml"];
 
 /// A step: its name, and cargo's arguments.
 struct Step {

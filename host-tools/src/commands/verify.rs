@@ -26,9 +26,6 @@ pub struct Arguments {
 /// One step: its name, and cargo's arguments.
 type Step = (&'static str, &'static [&'static str]);
 
-/// The models: a package of its own, built in a folder of its own.
-pub(super) const MODELS: [&str; 4] = ["test", "--release", "--manifest-path", "models/Cargo.toml"];
-
 /// Steps on the host.
 const HOST: [Step; 4] = [
     ("format", &["fmt", "--all", "--check"]),
@@ -73,7 +70,7 @@ const LIBRARIES: [Step; 5] = [
         ],
     ),
     ("examples of the documentation", &["test", "--workspace", "--doc"]),
-    ("models of what tasks share", &MODELS),
+    ("models of what tasks share", &nightly::MODELS),
     (
         "tests of the command line",
         &["test", "--workspace", "--test", "co[!n]*"],
