@@ -25,6 +25,7 @@ mod sync_signals;
 use super::acyclic::{AcyclicPort, Request};
 use super::error::BusError;
 use super::plan::ReferenceClock;
+use super::slave_set::SlaveSet;
 use super::wire::register;
 use super::wire::{Address, Command, read_u16, read_u32, read_u64};
 pub use agreement::{DIFFERENCE_MAX_NS, DIFFERENCE_TIMEOUT_MS, Settling, await_agreement, difference_ns};
@@ -64,8 +65,6 @@ pub struct SlaveClock {
     pub place: u8,
     /// Whether its clock has the time of the bus since it was last switched on.
     pub is_set: bool,
-    /// Whether its clock had the time of the bus and has run alone since, while that of others went on.
-    pub is_astray: bool,
     /// Port times latched by the last measurement, and whether it latches any; every slave with a clock does.
     pub ports: PortTimes,
     /// The slave's own time when the frame of the measurement passed its processing unit, ns.
@@ -89,6 +88,8 @@ pub struct BusClocks<const SLAVES: usize> {
     pub period_ns: u32,
     /// Phase of the frames at the reference, ns within the period.
     pub phase_ns: u32,
+    /// Slaves whose clocks had the time of the bus and have run alone since, while that of others went on.
+    astray: SlaveSet,
     /// Number of the slave that distributed its time when the delays were last told.
     told_by: Option<u8>,
     /// Whether clocks before the reference are being set: it only shows its time meanwhile.
@@ -181,15 +182,18 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
     /// Notes that a slave was switched off: its clock no longer has the time of the bus.
     pub fn was_off(&mut self, position: usize) {
         if let Some(slave) = self.slaves.get_mut(position) {
-            (slave.is_set, slave.is_astray, slave.told_delay_ns) = (false, false, NOT_TOLD);
+            (slave.is_set, slave.told_delay_ns) = (false, NOT_TOLD);
         }
+        self.astray = self.astray.without(SlaveSet::of(position));
     }
 
     /// Notes that the time of the others has gone on without a slave: its own is about the time of the bus, and is used for it if
     /// the others lose theirs.
     pub fn was_alone(&mut self, position: usize) {
         if let Some(slave) = self.slaves.get_mut(position) {
-            slave.is_astray |= slave.is_set;
+            if slave.is_set {
+                self.astray |= SlaveSet::of(position);
+            }
             (slave.is_set, slave.told_delay_ns) = (false, NOT_TOLD);
         }
     }
@@ -205,8 +209,9 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
     /// Notes that a slave's clock has been seen to have the time of the bus.
     pub fn found_in_time(&mut self, position: usize) {
         if let Some(slave) = self.slaves.get_mut(position) {
-            (slave.is_set, slave.is_astray) = (true, false);
+            slave.is_set = true;
         }
+        self.astray = self.astray.without(SlaveSet::of(position));
     }
 
     /// The time of the bus at `now_ms` according to the master's own time, ns; `None` before it was read.
@@ -248,6 +253,7 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
         let kind = |slave: &SlaveClock| (slave.width, slave.ports.has_clock);
         if let Some(slave) = slave.filter(|slave| kind(slave) != kind(found)) {
             self.was_narrow |= slave.width == Some(Width::Bits32);
+            self.astray = self.astray.without(SlaveSet::of(position));
             *slave = SlaveClock {
                 place: slave.place,
                 told_delay_ns: NOT_TOLD,
@@ -270,7 +276,7 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
     fn source_for(&self, position: usize) -> Option<usize> {
         let can_be = |other: usize, slave: &SlaveClock| other != position && slave.width.is_some() && slave.measured;
         let set = self.first(|other, slave| can_be(other, slave) && slave.is_set);
-        set.or_else(|| self.first(|other, slave| can_be(other, slave) && slave.is_astray))
+        set.or_else(|| self.first(|other, slave| can_be(other, slave) && self.astray.contains(other)))
     }
 
     /// The offset that makes the slave at `position` agree with `source`, both measured by one frame.
@@ -552,8 +558,9 @@ async fn write_offset<const SLAVES: usize, const MESSAGE: usize>(
     port.write(station, register::DC_DELAY, &delay_ns.to_le_bytes()).await?;
     restart_loop(port, station).await?;
     if let Some(slave) = clocks.slaves.get_mut(position) {
-        (slave.is_set, slave.is_astray, slave.told_delay_ns) = (true, false, delay_ns);
+        (slave.is_set, slave.told_delay_ns) = (true, delay_ns);
     }
+    clocks.astray = clocks.astray.without(SlaveSet::of(position));
     Ok(())
 }
 
