@@ -226,6 +226,10 @@ impl Orders {
             Report::Fault(Some(_)) if self.fault_reported => {}
             Report::Fault(Some(words)) => {
                 self.fault_reported = true;
+                // A stop by command began with its command: heard of late, it takes back no acknowledgement after it.
+                if self.needs_acknowledgement && stop::is_by_command(words) {
+                    return;
+                }
                 self.begin_stop(StopCause::of_fault(words), motion, bounds, disturbances);
             }
             Report::Fault(None) => {

@@ -18,7 +18,9 @@ const ON_PATH_SHARE: f64 = 0.6;
 /// joint that does not brake, which is the quick stop.
 const ON_PATH_LATER_MS: u64 = 8;
 /// Words that begin the report of a fault for which the robot brakes on its path (`Fault::keeps_path`).
-const KEEP_PATH: [&str; 3] = ["EmergencyStop(Link", "CyclesLate", "MotionStalled"];
+const KEEP_PATH: [&str; 3] = [BY_COMMAND, "CyclesLate", "MotionStalled"];
+/// Words that begin the report of a stop that the operator has commanded.
+const BY_COMMAND: &str = "EmergencyStop(Link";
 
 /// Why everything has to stop.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,6 +58,11 @@ impl StopCause {
     pub(crate) const fn keeps_path(self) -> bool {
         matches!(self, Self::Command | Self::FaultOnPath)
     }
+}
+
+/// Whether the words of a fault tell of a stop that the operator has commanded.
+pub(crate) fn is_by_command(words: &str) -> bool {
+    words.starts_with(BY_COMMAND)
 }
 
 /// A stop that every joint has to obey.

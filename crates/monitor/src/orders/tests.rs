@@ -120,6 +120,19 @@ fn a_drawing_without_an_answer_is_none_once_a_later_move_is_accepted() {
 }
 
 #[test]
+fn a_stop_that_is_heard_of_after_its_acknowledgement_is_no_other_stop() {
+    for (fault, may_have_power) in [("EmergencyStop(Link)", true), ("EmergencyStop(Input)", false)] {
+        let mut desk = Desk::new();
+        desk.command(Command::Stop);
+        desk.command(Command::Acknowledge);
+        // Noise on the line has hidden it until now.
+        desk.hear(&Report::Fault(Some(fault.to_owned())));
+        desk.command(Command::Enable);
+        assert_eq!(desk.orders.may_have_power(), may_have_power, "{fault}");
+    }
+}
+
+#[test]
 fn a_stop_needs_an_acknowledgement_before_enabling() {
     let mut desk = Desk::new();
     desk.command(Command::Stop);

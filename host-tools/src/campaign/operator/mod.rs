@@ -1,8 +1,8 @@
 //! The operator of an episode: events at their times, decisions from what the controller reports, and the healing.
 //!
 //! The operator sees what a person at the console sees: the reports that the line has carried. Only the robot's pose, and
-//! whether it rests, are taken from the cell, as a person beside it would see them. When the episode's time is over, everything is healed; then the
-//! robot has to come back and draw [`test_figure`].
+//! whether it rests, are taken from the cell, as a person beside it would see them. When the episode's time is over,
+//! everything is healed; then the robot has to come back and draw [`test_figure`].
 
 mod decisions;
 mod events;
