@@ -288,6 +288,59 @@ fn clocks_that_return_keep_their_time_if_the_one_that_distributed_its_time_goes(
     }
 }
 
+#[test]
+fn clocks_without_their_distributor_keep_one_time_until_somebody_acknowledges() {
+    // The first drive is switched off after the others have been away: all for so long, or the second or fourth for longer.
+    let away = |fault, returns, ms| (fault, returns, ms);
+    let all = |ms| [away(CellFault::Cut(1), CellFault::Join, ms)].to_vec();
+    let one = |slave, ms, last_ms| {
+        let alone = away(CellFault::Remove(slave), CellFault::Insert(slave), ms);
+        [alone, away(CellFault::Cut(1), CellFault::Join, last_ms)].to_vec()
+    };
+    for (absences, gap_ms) in [
+        (all(60), 0),
+        (all(60), 300),
+        (all(10_000), 300),
+        (all(30_000), 900),
+        (one(2, 30_000, 60), 0),
+        (one(4, 30_000, 60), 100),
+    ] {
+        println!("{absences:?}, the first off {gap_ms} ms later");
+        let mut robot = with_clocks_far_from_each_other();
+        for (fault, returns, ms) in absences {
+            robot.inject(fault);
+            robot.run(ms);
+            robot.inject(returns);
+        }
+        robot.run(gap_ms);
+        robot.inject(CellFault::Power(1, 2));
+        robot.run(60_000);
+        assert_truly_agree(&mut robot, &[2, 3, 4], "a minute later");
+        robot.steps = Some(Steps::default());
+        assert_eq!(acknowledge(&mut robot), None);
+        robot.run(1_000);
+        // The crystals are as far from true time as that.
+        assert_no_jump(&mut robot, &[2, 3, 4], [1_000, 100_000], "taken back");
+        assert_truly_agree(&mut robot, &[1, 2, 3, 4], "taken back");
+        assert_eq!(come_back(&mut robot, 0), 0);
+    }
+}
+
+/// A drawing robot whose drives have crystals of up to 100 parts per million.
+fn with_clocks_far_from_each_other() -> Robot {
+    let mut config = Config::default();
+    config.bus.clocks = true;
+    let clocks = ClockOptions {
+        drift_max_ppm: 100.0,
+        ..ClockOptions::default()
+    };
+    let options = CellOptions {
+        clocks,
+        ..CellOptions::default()
+    };
+    Robot::of(&config, options).enabled().in_a_drawing()
+}
+
 /// True differences of the clocks of these slaves, from 1, from that of the first of them, ns.
 fn true_differences_ns(robot: &mut Robot, slaves: &[usize]) -> Vec<i64> {
     let mut times_ns = Vec::new();

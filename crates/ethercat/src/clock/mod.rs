@@ -21,31 +21,29 @@ pub mod delay;
 mod measurement;
 pub mod steering;
 mod sync_signals;
+mod time;
 
 use super::acyclic::{AcyclicPort, Request};
 use super::error::BusError;
 use super::plan::ReferenceClock;
 use super::slave_set::SlaveSet;
 use super::wire::register;
-use super::wire::{Address, Command, read_u16, read_u32, read_u64};
+use super::wire::{Address, Command, read_u16, read_u64};
 pub use agreement::{DIFFERENCE_MAX_NS, DIFFERENCE_TIMEOUT_MS, Settling, await_agreement, difference_ns};
 use delay::PortTimes;
 use heapless::Vec;
 pub use measurement::{Presence, measure};
 pub use sync_signals::{SyncSignals, start_sync, stop_sync};
+pub use time::{find_source, follow};
 
 /// Frames that distribute the reference's time before the clocks are used (static drift compensation).
 pub const SETTLING_FRAMES: u16 = 32;
 /// Time from the activation of SYNC0 to its first pulse, ns: many cycles, so that lost frames do not matter.
 const START_AHEAD_NS: u64 = 100_000_000;
-/// How often the reference's time is continued, ms.
-const FOLLOW_PERIOD_MS: u32 = 1_000;
 /// Difference from the delay that a slave was told from which on it is told anew, ns: measurements differ by less.
 const DELAY_CHANGE_MIN_NS: u32 = 20;
 /// Delay of a slave that may be another one than was told.
 const NOT_TOLD: u32 = u32::MAX;
-/// Nanoseconds in a millisecond.
-const NS_PER_MS: u64 = 1_000_000;
 /// Width of a slave's clock.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Width {
@@ -187,8 +185,8 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
         self.astray = self.astray.without(SlaveSet::of(position));
     }
 
-    /// Notes that the time of the others has gone on without a slave: its own is about the time of the bus, and is used for it if
-    /// the others lose theirs.
+    /// Notes that the time of the others has gone on without a slave: if they lose it, that of this one may still be the time of
+    /// the bus, see [`find_source`].
     pub fn was_alone(&mut self, position: usize) {
         if let Some(slave) = self.slaves.get_mut(position) {
             if slave.is_set {
@@ -212,33 +210,6 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
             slave.is_set = true;
         }
         self.astray = self.astray.without(SlaveSet::of(position));
-    }
-
-    /// The time of the bus at `now_ms` according to the master's own time, ns; `None` before it was read.
-    fn expected_ns(&self, now_ms: u32) -> Option<u64> {
-        let passed_ns = u64::from(now_ms.wrapping_sub(self.read_ms)) * NS_PER_MS;
-        self.time_ns.map(|time_ns| time_ns.wrapping_add(passed_ns))
-    }
-
-    /// The reference's time in 64 bits from the low 32 bits that were read of it at `now_ms`: the value nearest to what
-    /// the master's own time lets expect. The upper bits of a clock of 64 bits that was set by one of 32 say nothing.
-    fn extended_ns(&mut self, read_ns: u64, now_ms: u32) -> u64 {
-        let time_ns = match self.expected_ns(now_ms) {
-            Some(expected_ns) => {
-                let off_ns = (read_ns as u32).wrapping_sub(expected_ns as u32) as i32;
-                expected_ns.wrapping_add_signed(off_ns.into())
-            }
-            None => read_ns,
-        };
-        (self.time_ns, self.read_ms) = (Some(time_ns), now_ms);
-        time_ns
-    }
-
-    /// The time of the bus for a frame at `now_ms` when no clock has kept it, ns: about that of the master, and with the
-    /// phase that the frames had at the reference.
-    fn continued_ns(&self, now_ms: u32) -> u64 {
-        let (expected_ns, period_ns) = (self.expected_ns(now_ms).unwrap_or(0), u64::from(self.period_ns.max(1)));
-        expected_ns - expected_ns % period_ns + u64::from(self.phase_ns)
     }
 
     /// Whether the slave at this place has a clock that is used: no extra slave has.
@@ -271,12 +242,10 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
         }
     }
 
-    /// The slave whose time one that is set takes over: the first of the chain that has the time of the bus, or else the first
-    /// that had it and has run alone since.
+    /// The slave whose time one that is set takes over: the first of the chain that has the time of the bus.
     fn source_for(&self, position: usize) -> Option<usize> {
         let can_be = |other: usize, slave: &SlaveClock| other != position && slave.width.is_some() && slave.measured;
-        let set = self.first(|other, slave| can_be(other, slave) && slave.is_set);
-        set.or_else(|| self.first(|other, slave| can_be(other, slave) && self.astray.contains(other)))
+        self.first(|other, slave| can_be(other, slave) && slave.is_set)
     }
 
     /// The offset that makes the slave at `position` agree with `source`, both measured by one frame.
@@ -422,8 +391,7 @@ async fn set_all<const SLAVES: usize, const MESSAGE: usize>(
 }
 
 /// Sets the clock of a slave that was switched off or cut off to the time of the bus. The other slaves keep their time,
-/// even if this slave is the reference. If no other clock has the time of the bus, this one takes that of one that had it, or
-/// else continues it. What slaves that are lost say on their return is not the time of the bus; the slave itself must not be one
+/// even if this slave is the reference. If no other clock has the time of the bus, this one continues it. What slaves that are lost say on their return is not the time of the bus; the slave itself must not be one
 /// of them. If nobody uses it and it cannot be measured, it is left as it is.
 ///
 /// # Errors
@@ -605,23 +573,6 @@ fn reference_of<const SLAVES: usize>(
     answers: impl Fn(usize) -> bool,
 ) -> Option<u16> {
     stations.get(clocks.distributor(answers)?).copied()
-}
-
-/// Continues the reference's time in 64 bits once a second. The master's time may be off by 2 s in between.
-pub async fn follow<const SLAVES: usize, const MESSAGE: usize>(
-    port: &mut AcyclicPort<'_, MESSAGE>,
-    stations: &[u16],
-    clocks: &mut BusClocks<SLAVES>,
-    answers: impl Fn(usize) -> bool,
-) {
-    if port.now_ms().wrapping_sub(clocks.read_ms) < FOLLOW_PERIOD_MS {
-        return;
-    }
-    if let Some(station) = reference_of(stations, clocks, answers)
-        && let Ok(bytes) = port.read(station, register::DC_SYSTEM_TIME, 4).await
-    {
-        clocks.extended_ns(read_u32(&bytes, 0).into(), port.now_ms());
-    }
 }
 
 #[cfg(test)]

@@ -3,7 +3,7 @@
 extern crate std;
 
 use super::super::acyclic::{self, Lane, Outcome, Reply};
-use super::super::wire::write_bytes;
+use super::super::wire::{read_u32, write_bytes};
 use super::*;
 use core::future::Future;
 use core::ops::Range;
@@ -19,6 +19,7 @@ use std::vec::Vec as StdVec;
 mod agreement;
 mod counters;
 mod places;
+mod source;
 
 const PERIOD_NS: u32 = 1_000_000;
 const STATIONS: [u16; 4] = [0x1001, 0x1002, 0x1003, 0x1004];

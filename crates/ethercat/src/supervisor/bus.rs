@@ -523,10 +523,21 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
                 changed |= self.judge(number, report).await;
             }
         }
-        if changed {
+        let is_new = self.find_distributor().await;
+        if changed || is_new {
             self.send_plan().await;
             self.tell_delays().await;
         }
+    }
+
+    /// Gives the bus a distributor of its time if it has lost the last one, see [`clock::find_source`].
+    async fn find_distributor(&mut self) -> bool {
+        if self.distributor().is_some() {
+            return false;
+        }
+        let (stations, there) = (self.stations(), self.answering());
+        let answers = |position: usize| there.get(position).is_some_and(|there| *there);
+        clock::find_source(&mut self.port, &stations, &mut self.clocks, answers).await
     }
 
     /// Takes the address from a slave that comes back with the mapping of another master, and the mapping: it disturbs the
