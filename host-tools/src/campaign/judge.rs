@@ -12,6 +12,7 @@ use crate::cell::{Clocks, Fault, Product, ResolverFault, SiiFault, Truth};
 pub(super) use bounds::{ink_limit_mm, product};
 use etherpen::application::Mode;
 use etherpen::config::Config;
+use etherpen::link::device::REQUESTS_KEPT;
 use etherpen::link::frame::{Decoder, decode};
 use etherpen::messages::{Command, HostMessage, PathVertex, Status};
 use etherpen::motion::Pen;
@@ -19,6 +20,7 @@ use etherpen::robots::AXES;
 use etherpen_monitor as monitor;
 use monitor::{Count, Input, Joint, Moment, Monitor, Report, WireFrame};
 use notices::Notices;
+use std::collections::VecDeque;
 
 /// Most frames of a millisecond that are judged.
 const FRAMES_MAX: usize = 16;
@@ -65,7 +67,8 @@ pub(super) struct Judge {
     inputs: Vec<Input>,
     reports: Vec<Report>,
     decoder: Box<Decoder>,
-    last_command: Option<u16>,
+    /// Numbers of the last commands, and whether each is a stop.
+    known: VecDeque<(u16, bool)>,
     interlocks: Interlocks,
     /// Ends of faults that end by themselves: when, ms, and what is true then.
     ends: Vec<(u64, Input)>,
@@ -101,7 +104,7 @@ impl Judge {
             inputs: Vec::new(),
             reports: Vec::new(),
             decoder: Box::default(),
-            last_command: None,
+            known: VecDeque::new(),
             interlocks: Interlocks::default(),
             ends: Vec::new(),
             disturbances: 0,
@@ -124,7 +127,7 @@ impl Judge {
 
     /// A new connection numbers its commands from the beginning.
     pub(super) fn reconnected(&mut self) {
-        self.last_command = None;
+        self.known.clear();
     }
 
     /// The board begins again, and with it what it has been told, ordered and reported.
@@ -145,9 +148,7 @@ impl Judge {
                 continue;
             };
             match decode::<HostMessage>(payload) {
-                // A repeated request is carried out once.
-                Ok(HostMessage::Command { id, command }) if self.last_command != Some(id) => {
-                    self.last_command = Some(id);
+                Ok(HostMessage::Command { id, command }) if self.is_new(id, matches!(command, Command::Stop)) => {
                     self.reached(&command);
                 }
                 Ok(HostMessage::Configure { .. }) if !self.configured => {
@@ -157,6 +158,20 @@ impl Judge {
                 _ => {}
             }
         }
+    }
+
+    /// Whether a request is no repetition of one of the last ones: those are carried out once. A stop only repeats a stop.
+    fn is_new(&mut self, id: u16, is_stop: bool) -> bool {
+        if let Some((_, was_stop)) = self.known.iter_mut().find(|(known, _)| *known == id) {
+            let is_new = is_stop && !*was_stop;
+            *was_stop |= is_stop;
+            return is_new;
+        }
+        if self.known.len() == REQUESTS_KEPT {
+            self.known.pop_front();
+        }
+        self.known.push_back((id, is_stop));
+        true
     }
 
     /// The operator orders a drawing.

@@ -61,6 +61,8 @@ pub(crate) struct Orders {
     path: Pending,
     holding: Pending,
     cancelling: Pending,
+    /// Number of the last command.
+    asked: u64,
     commanded_ms: u64,
     /// When a jog has to be at rest, ms.
     jog_ends_ms: Option<u64>,
@@ -183,24 +185,26 @@ impl Orders {
     }
 
     fn command(&mut self, cell: &Cell, bounds: &Bounds, now_ms: u64, command: Command) {
+        self.asked += 1;
+        let number = self.asked;
         match command {
             Command::Home | Command::HomeAt { .. } => self.home_ordered_ms = Some(now_ms),
             Command::Search => {
                 self.home_ordered_ms = Some(now_ms);
-                self.searching.ask(now_ms);
+                self.searching.ask(now_ms, number);
             }
             Command::Enable if self.needs_acknowledgement && !self.acknowledged => {}
-            Command::Enable => self.enabling.ask(now_ms),
-            Command::Disable => self.disabling.ask(now_ms),
+            Command::Enable => self.enabling.ask(now_ms, number),
+            Command::Disable => self.disabling.ask(now_ms, number),
             Command::Jog { velocity_mm_s } => {
                 let ends_ms = now_ms.saturating_add(bounds.jog_ms(cell, length(velocity_mm_s)));
                 self.jog_ends_ms = Some(self.jog_ends_ms.map_or(ends_ms, |ms| ms.max(ends_ms)));
-                self.jogging.ask(now_ms);
+                self.jogging.ask(now_ms, number);
             }
-            Command::Move { .. } | Command::Pen { .. } => self.moving.ask(now_ms),
-            Command::Draw { .. } | Command::Resume => self.path.ask(now_ms),
-            Command::Hold => self.holding.ask(now_ms),
-            Command::Cancel => self.cancelling.ask(now_ms),
+            Command::Move { .. } | Command::Pen { .. } => self.moving.ask(now_ms, number),
+            Command::Draw { .. } | Command::Resume => self.path.ask(now_ms, number),
+            Command::Hold => self.holding.ask(now_ms, number),
+            Command::Cancel => self.cancelling.ask(now_ms, number),
             Command::Override { percent } => self.speed_override.ask(percent),
             Command::Acknowledge => self.acknowledged = true,
             Command::Stop => {}
@@ -262,7 +266,7 @@ impl Orders {
         }
         // Nothing else is accepted while the search goes on.
         if mode == Mode::Homing && !is_recent {
-            if self.searching.answer() {
+            if self.searching.answer().is_some() {
                 self.begin(Order::Search);
             }
             self.forget_motions();
@@ -275,13 +279,13 @@ impl Orders {
     fn accepted(&mut self, bounds: &Bounds, now_ms: u64, command: Command) {
         match command {
             Command::Enable => {
-                if self.enabling.answer() {
+                if self.enabling.answer().is_some() {
                     self.is_enabled = true;
                     self.stop = None;
                 }
             }
             Command::Disable => {
-                if self.disabling.answer() {
+                if self.disabling.answer().is_some() {
                     self.is_enabled = false;
                     let is_search = self.order == Order::Search;
                     self.begin(if is_search { Order::Search } else { Order::None });
@@ -291,7 +295,7 @@ impl Orders {
                 }
             }
             Command::Jog { .. } => {
-                if self.jogging.answer() {
+                if self.jogging.answer().is_some() {
                     // A jog that is accepted during a move does not end it.
                     if self.order != Order::Single {
                         self.begin(Order::Jog);
@@ -300,31 +304,33 @@ impl Orders {
                 }
             }
             Command::Move { .. } | Command::Pen { .. } => {
-                if self.moving.answer() {
+                if let Some(number) = self.moving.answer() {
                     self.begin(Order::Single);
                     // It is not accepted while drawing: a drawing that was ordered before it was refused, or has ended.
-                    self.path.forget_before(self.moving);
+                    self.path.forget_before(number);
                 }
             }
             Command::Draw { .. } | Command::Resume => {
-                if self.path.answer() {
+                if let Some(number) = self.path.answer() {
                     self.begin(Order::Path);
+                    // It is not accepted while moving: the same for a move that was ordered before it.
+                    self.moving.forget_before(number);
                 }
             }
             Command::Hold => {
-                if self.holding.answer() && self.order == Order::Path {
+                if self.holding.answer().is_some() && self.order == Order::Path {
                     self.held.get_or_insert((now_ms, false));
                 }
             }
             Command::Search => {
-                if self.searching.answer() {
+                if self.searching.answer().is_some() {
                     self.begin(Order::Search);
                     // It is accepted at rest only: what was asked for before it is not carried out.
                     self.forget_motions();
                 }
             }
             Command::Cancel => {
-                if self.cancelling.answer() && self.order != Order::None {
+                if self.cancelling.answer().is_some() && self.order != Order::None {
                     let (is_search, has_jogged) = (self.order == Order::Search, self.has_jogged);
                     self.begin(if is_search { Order::Search } else { Order::Ending });
                     // A jog that is cancelled slows down; the next message of it is refused.

@@ -1,49 +1,51 @@
 //! Commands that are not answered yet.
 
+use std::collections::VecDeque;
+
 /// Time after which a command without an answer counts as accepted, ms: the answer was lost.
 const ANSWER_MAX_MS: u64 = 1_000;
 
-/// Commands of one kind that are not answered yet.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct Pending {
-    count: u32,
-    since_ms: u64,
+/// A command: when it was asked for, ms, and its number among all commands.
+#[derive(Clone, Copy, Debug)]
+struct Asked {
+    at_ms: u64,
+    number: u64,
 }
 
+/// Commands of one kind that are not answered yet, the oldest one first.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Pending(VecDeque<Asked>);
+
 impl Pending {
-    pub(crate) fn ask(&mut self, now_ms: u64) {
-        self.count = self.count.saturating_add(1);
-        self.since_ms = now_ms;
+    pub(crate) fn ask(&mut self, at_ms: u64, number: u64) {
+        self.0.push_back(Asked { at_ms, number });
     }
 
-    /// Takes an answer; returns whether there was a command to answer.
-    pub(crate) fn answer(&mut self) -> bool {
-        let was_asked = self.count > 0;
-        self.count = self.count.saturating_sub(1);
-        was_asked
+    /// Takes an answer; returns the number of the command that it answers, at least, if there was one. If earlier answers were
+    /// lost, it answers a later one.
+    pub(crate) fn answer(&mut self) -> Option<u64> {
+        self.0.pop_front().map(|asked| asked.number)
     }
 
     pub(crate) fn forget(&mut self) {
-        self.count = 0;
+        self.0.clear();
     }
 
-    /// Forgets these commands if all of them came before those of another kind: the answer to one of those shows that these have
-    /// been decided on.
-    pub(crate) fn forget_before(&mut self, others: Self) {
-        if self.since_ms < others.since_ms {
-            self.forget();
-        }
+    /// Forgets what was asked for before a command of another kind: its answer shows that these have been decided on.
+    pub(crate) fn forget_before(&mut self, number: u64) {
+        self.0.retain(|asked| asked.number > number);
     }
 
-    pub(crate) fn is_waiting(self) -> bool {
-        self.count > 0
+    pub(crate) fn is_waiting(&self) -> bool {
+        !self.0.is_empty()
     }
 
     /// Takes the answer that was lost: whether the commands have waited so long that they count as accepted.
     pub(crate) fn take_lost(&mut self, now_ms: u64) -> bool {
-        let is_lost = self.count > 0 && now_ms.saturating_sub(self.since_ms) > ANSWER_MAX_MS;
+        let last = self.0.back();
+        let is_lost = last.is_some_and(|asked| now_ms.saturating_sub(asked.at_ms) > ANSWER_MAX_MS);
         if is_lost {
-            self.count = 0;
+            self.forget();
         }
         is_lost
     }

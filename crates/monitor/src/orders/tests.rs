@@ -95,28 +95,47 @@ fn an_answer_that_is_lost_counts_as_yes_and_a_late_one_after_a_stop_as_nothing()
     assert!(!desk.orders.may_have_power() && !desk.may_move());
 }
 
-#[test]
-fn a_drawing_without_an_answer_is_none_once_a_later_move_is_accepted() {
-    let (draw, go) = (Command::Draw { job: 1 }, Command::Move { position_mm: [0.0; 3] });
-    for (draw_ms, move_ms, expected) in [(10, 20, Order::Single), (20, 10, Order::Path)] {
-        let mut desk = Desk::new();
-        for time_ms in 1..2_000 {
-            desk.at(time_ms);
-            if time_ms == draw_ms {
-                desk.take(Input::Commanded(draw));
+/// The order at `end_ms`, of commands at their times, ms, of which those with an answer are accepted at 30 ms.
+fn order_at(end_ms: u64, commands: &[(u64, Command, bool)]) -> Order {
+    let mut desk = Desk::new();
+    for time_ms in 1..=end_ms {
+        desk.at(time_ms);
+        for (at_ms, command, is_accepted) in commands {
+            if time_ms == *at_ms {
+                desk.take(Input::Commanded(*command));
             }
-            if time_ms == move_ms {
-                desk.take(Input::Commanded(go));
-            }
-            if time_ms == 30 {
-                desk.hear(&Report::Accepted(go));
+            if time_ms == 30 && *is_accepted {
+                desk.hear(&Report::Accepted(*command));
             }
         }
-        assert_eq!(
-            desk.orders.order, expected,
-            "a drawing at {draw_ms} ms, a move at {move_ms} ms"
-        );
     }
+    desk.orders.order
+}
+
+#[test]
+fn a_command_without_an_answer_is_none_once_a_later_one_of_another_kind_is_accepted() {
+    let draw = Command::Draw { job: 1 };
+    let go = Command::Move { position_mm: [0.0; 3] };
+    let pen = Command::Pen { down: true };
+    for single in [go, pen] {
+        for drawn in [draw, Command::Resume] {
+            // In the same millisecond their order counts.
+            for later_ms in [10, 20] {
+                let lost_first = [(10, drawn, false), (later_ms, single, true)];
+                assert_eq!(order_at(2_000, &lost_first), Order::Single, "{lost_first:?}");
+                let lost_first = [(10, single, false), (later_ms, drawn, true)];
+                assert_eq!(order_at(2_000, &lost_first), Order::Path, "{lost_first:?}");
+                let lost_last = [(10, single, true), (later_ms, drawn, false)];
+                assert_eq!(order_at(2_000, &lost_last), Order::Path, "{lost_last:?}");
+                let lost_last = [(10, drawn, true), (later_ms, single, false)];
+                assert_eq!(order_at(2_000, &lost_last), Order::Single, "{lost_last:?}");
+            }
+        }
+    }
+    // The answer may be that to the first move: the drawing, and later the second move, may have been accepted.
+    let moves = [(10, go, true), (15, draw, false), (20, go, false)];
+    let orders = [100, 1_018, 1_100].map(|end_ms| order_at(end_ms, &moves));
+    assert_eq!(orders, [Order::Single, Order::Path, Order::Single]);
 }
 
 #[test]
