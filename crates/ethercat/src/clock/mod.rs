@@ -391,8 +391,9 @@ async fn set_all<const SLAVES: usize, const MESSAGE: usize>(
 }
 
 /// Sets the clock of a slave that was switched off or cut off to the time of the bus. The other slaves keep their time,
-/// even if this slave is the reference. If no other clock has the time of the bus, this one continues it. What slaves that are lost say on their return is not the time of the bus; the slave itself must not be one
-/// of them. If nobody uses it and it cannot be measured, it is left as it is.
+/// even if this slave is the reference. If no other clock has the time of the bus, this one continues it: to some milliseconds, with
+/// the phase of the frames. What slaves that are lost say on their return is not the time of the bus; the slave itself must not be
+/// one of them. If nobody uses it and it cannot be measured, it is left as it is.
 ///
 /// # Errors
 /// As [`AcyclicPort::send_until_counted`].

@@ -8,10 +8,13 @@ use super::{BusClocks, reference_of, restart_loop};
 
 /// How often the reference's time is continued, ms.
 const FOLLOW_PERIOD_MS: u32 = 1_000;
-/// Longest time between the master's own time and the moment at which a slave notes its, ns.
-const READING_MAX_NS: u64 = 2 * NS_PER_MS;
+/// How far the master's own time may be from the moment at which a slave notes its, ns: its count may be coarse, and a reading takes
+/// its cycles. The time would be continued no better without that slave.
+const READING_MAX_NS: u64 = 20 * NS_PER_MS;
 /// What the master's own time may be wrong by, as the divisor of the time that has passed: 200 parts per million.
 const OWN_TIME_DIVISOR: u64 = 5_000;
+/// Most that both may come to, ns: 32 bits of a time that is further away say nothing.
+const OFF_MAX_NS: u64 = 1_000 * NS_PER_MS;
 /// Nanoseconds in a millisecond.
 const NS_PER_MS: u64 = 1_000_000;
 
@@ -46,7 +49,7 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
     /// Whether a clock's lower 32 bits, read at `now_ms`, may be those of the time of the bus as the master's own time tells it.
     fn may_be_the_time(&self, read_ns: u32, now_ms: u32) -> bool {
         let passed_ns = u64::from(now_ms.wrapping_sub(self.read_ms)) * NS_PER_MS;
-        let off_max_ns = READING_MAX_NS + passed_ns / OWN_TIME_DIVISOR;
+        let off_max_ns = (READING_MAX_NS + passed_ns / OWN_TIME_DIVISOR).min(OFF_MAX_NS);
         self.expected_ns(now_ms).is_some_and(|expected_ns| {
             let off_ns = read_ns.wrapping_sub(expected_ns as u32) as i32;
             u64::from(off_ns.unsigned_abs()) <= off_max_ns
@@ -76,25 +79,30 @@ pub async fn follow<const SLAVES: usize, const MESSAGE: usize>(
 }
 
 /// Gives the bus a distributor when no clock that answers has the time of the bus any more: the first of the chain that had it and
-/// has run alone since, if its own is still about that time. Each such clock is looked at once, and loses the correction that it
-/// was given last: without a reference it would keep up to 10 % for ever. Returns whether there is a distributor now.
+/// has run alone since, if its own is still about that time. Those that are looked at lose the correction that they were given
+/// last: without a reference they would keep up to 10 % for ever. One that is too far from the time is not looked at again. Returns
+/// whether there is a distributor now.
 pub async fn find_source<const SLAVES: usize, const MESSAGE: usize>(
     port: &mut AcyclicPort<'_, MESSAGE>,
     stations: &[u16],
     clocks: &mut BusClocks<SLAVES>,
     answers: impl Fn(usize) -> bool,
 ) -> bool {
-    while let Some(position) = clocks.first(|position, _| clocks.astray.contains(position) && answers(position)) {
-        clocks.astray = clocks.astray.without(SlaveSet::of(position));
-        let Some(station) = stations.get(position) else {
-            continue;
-        };
-        if restart_loop(port, *station).await.is_ok()
-            && let Ok(bytes) = port.read(*station, register::DC_SYSTEM_TIME, 4).await
-            && clocks.may_be_the_time(read_u32(&bytes, 0), port.now_ms())
+    let mut tried = SlaveSet::NONE;
+    let may_be = |clocks: &BusClocks<SLAVES>, tried: SlaveSet, position: usize| {
+        clocks.astray.contains(position) && !tried.contains(position) && answers(position)
+    };
+    while let Some(position) = clocks.first(|position, _| may_be(clocks, tried, position)) {
+        tried |= SlaveSet::of(position);
+        let station = stations.get(position).copied().unwrap_or(0);
+        if restart_loop(port, station).await.is_ok()
+            && let Ok(bytes) = port.read(station, register::DC_SYSTEM_TIME, 4).await
         {
-            clocks.found_in_time(position);
-            return true;
+            if clocks.may_be_the_time(read_u32(&bytes, 0), port.now_ms()) {
+                clocks.found_in_time(position);
+                return true;
+            }
+            clocks.astray = clocks.astray.without(SlaveSet::of(position));
         }
     }
     false

@@ -517,11 +517,12 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
             return Ok(());
         }
         let actual_ns = clock::difference_ns(&mut self.port, slave.station()).await?;
-        // One in front of the others would distribute its time from then on, and is told theirs as it was expected only.
-        let is_first = self
+        // One in front of the others would distribute its time from then on, and is told theirs as it was expected only. Without a
+        // time that is distributed there is no difference from it either.
+        let is_behind = self
             .distributor()
-            .is_some_and(|distributor| self.clocks.is_before(number, distributor));
-        match actual_ns.unsigned_abs() <= NEAR_NS && !is_first {
+            .is_some_and(|distributor| !self.clocks.is_before(number, distributor));
+        match actual_ns.unsigned_abs() <= NEAR_NS && is_behind {
             true => {
                 self.clocks.found_in_time(number);
                 // Its cables may have been changed meanwhile.

@@ -115,12 +115,38 @@ fn the_first_clock_that_was_alone_and_still_has_the_time_gives_it_to_all() {
 }
 
 #[test]
-fn a_clock_that_was_not_alone_is_taken_before_one_that_was() {
-    let mut bus = Alone::new(&[1]);
-    bus.set_ahead(1, 1_000);
-    assert_eq!(bus.clocks.distributor(|place| place != 0), Some(2));
-    let off_ns = bus.restore_first();
-    assert_eq!(off_ns, [0, -1_000, 0, 0]);
+fn how_far_a_clock_may_be_grows_with_the_time_since_the_last_reading_until_32_bits_say_nothing() {
+    for (wait_ms, near_ms, far_ms) in [
+        (0, 15, 25),
+        (1_000, 15, 25),
+        (1_000_000, 215, 225),
+        // Three hours: 2.2 s of 4.3 s at 200 parts per million.
+        (3_600_000, 735, 745),
+    ] {
+        for sign in [1_i64, -1] {
+            for (off_ms, is_near) in [(near_ms, true), (far_ms, false)] {
+                let mut bus = Alone::new(&[3]);
+                bus.set_ahead(3, (sign * off_ms * 1_000_000) as u64);
+                let source = bus.find(wait_ms, &[0, 1, 2]);
+                assert_eq!(source.is_some(), is_near, "{off_ms} ms off after {wait_ms} ms");
+            }
+        }
+    }
+    let mut bus = Alone::new(&[3]);
+    bus.clocks.read_ms = 0_u32.wrapping_sub(4 * 3_600_000);
+    bus.set_ahead(3, (1_u64 << 31) - 1);
+    assert_eq!(bus.find(0, &[0, 1, 2]), None, "half of what 32 bits hold");
+}
+
+#[test]
+fn a_clock_that_could_not_be_read_is_looked_at_again() {
+    let mut bus = Alone::new(&[1, 2]);
+    // The frames with both clocks' registers are lost, and those that repeat them.
+    bus.chain.miscounted = bus.chain.frames + 1..bus.chain.frames + 1_000;
+    bus.chain.miscount = 1;
+    assert_eq!(bus.find(0, &[0, 3]), None);
+    bus.chain.miscounted = 0..0;
+    assert_eq!(bus.find(0, &[0, 3]), Some(1));
 }
 
 #[test]
