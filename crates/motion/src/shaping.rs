@@ -11,7 +11,7 @@ use super::Pen;
 use super::averaging::{Tolerances, tolerances};
 use super::curve::{self, BlendShape, Curve};
 use super::ring::Ring;
-use crate::robots::vector::{Vector, add, dot, length, scale, subtract};
+use crate::robots::vector::{Vector, add, cross, dot, length, scale, subtract};
 use crate::settings::Settings;
 use heapless::Vec;
 
@@ -50,8 +50,8 @@ const LONG_BLEND_MM: f64 = 0.2;
 const SPAN_INTERVALS: u16 = 3;
 /// Intervals of a span whose legs are uneven.
 const UNEVEN_SPAN_INTERVALS: u16 = 5;
-/// Largest deflection of the curve's direction over a span, as a part of its length, for which fewer intervals are
-/// enough.
+/// Largest deflection of the curve's direction over a span, also there and back, as a part of its length, for which fewer
+/// intervals are enough.
 const SPAN_GENTLE: f64 = 0.1;
 /// Largest ratio of the longest to the shortest leg of a span's control polygon that counts as even.
 const SPAN_EVEN: f64 = 1.5;
@@ -448,15 +448,18 @@ impl Shaper {
 
 /// Fewest intervals of a spline: more where it turns or its legs differ in length.
 fn span_intervals(control: &[Vector; 4], leg_length: f64) -> u16 {
-    let (before, after) = (subtract(&control[1], &control[0]), subtract(&control[3], &control[2]));
+    let [c0, c1, c2, c3] = control;
+    let (before, leg, after) = (subtract(c1, c0), subtract(c2, c1), subtract(c3, c2));
     let deflection = length(&subtract(&after, &before));
+    // How far both outer legs lead aside; those of a span that turns there and back are parallel.
+    let aside = (length(&cross(&before, &leg)) + length(&cross(&leg, &after))) / leg_length;
     let legs = [length(&before), leg_length, length(&after)];
     let (short, long) = legs.iter().fold((f64::MAX, 0.0_f64), |(short, long), leg| {
         (short.min(*leg), long.max(*leg))
     });
     match (deflection < SPAN_GENTLE * leg_length, long < SPAN_EVEN * short) {
-        (true, true) => 1,
-        (true, false) => 2,
+        (true, true) if aside < SPAN_GENTLE * leg_length => 1,
+        (true, _) => 2,
         (false, true) => SPAN_INTERVALS,
         (false, false) => UNEVEN_SPAN_INTERVALS,
     }

@@ -29,6 +29,8 @@ const SAMPLES: [(&str, &str); 5] = [
 /// Seeds of paths that lose most of their speed within one interval of the grid as the pen begins to rise, or gain it as the
 /// pen has come down.
 const SUDDEN: [u64; 4] = [10_564, 17_805, 34_316, 41_750];
+/// Seed of a path with a span that turns by 0.3 rad and back, between parallel legs.
+const THERE_AND_BACK: u64 = 22_258;
 
 /// Allowed excess of a quantity in continuous time. On 20,000 random paths the largest peaks were 5.4 % (tool), 9.3 %
 /// (joints) and 5.6 % (pen) over the limit.
@@ -217,6 +219,16 @@ fn a_pen_that_begins_to_rise_as_the_path_slows_down_keeps_its_limit_but_for_smal
         tally.add(&format!("seed {seed}"), &certify(&settings, &path, EXCESS, |_| ()));
     }
     tally.show("sudden paths");
+    tally.assert_known();
+}
+
+#[test]
+fn a_span_that_turns_there_and_back_joins_its_neighbours_at_their_speed() {
+    let (mut random, mut tally) = (Random::new(THERE_AND_BACK), Tally::default());
+    let settings = settings(&mut random, RobotKind::Delta);
+    let path = fitted(&stroke(&mut random, &settings), &settings);
+    tally.add("there and back", &certify(&settings, &path, EXCESS, |_| ()));
+    tally.show("there and back");
     tally.assert_known();
 }
 
