@@ -2,9 +2,11 @@
 //! cases, slave information files, and commands to a segment.
 
 use etherpen::application::{Fault, Mode};
-use etherpen::black_box::{EventLog, Keep, Memory};
+use etherpen::black_box::{Direction, EventLog, FrameNote, FrameNotes, FrameSource, Keep, Memory, Recorder};
+use etherpen::control::sampler::CycleReport;
 use etherpen_segment::control::Names;
 use etherpen_segment::{EsiDevice, SlaveList};
+use heapless::spsc::Queue;
 use host_tools::black_box::contents::Contents;
 use host_tools::black_box::export::{json, mcap, pcapng};
 use host_tools::black_box::image;
@@ -18,19 +20,54 @@ const CHANGES: u8 = 1;
 /// Bytes of a change: the number of a word, 16 bits, and its value.
 const CHANGE_BYTES: usize = 6;
 
-/// The memory of a board that has changed its mode and had a fault.
+/// Milliseconds of the recording.
+const RECORDED_MS: u32 = 40;
+
+/// Frames whose words follow from their places.
+#[derive(Default)]
+struct Frames(FrameNotes);
+
+impl FrameSource for Frames {
+    fn notes(&self) -> &FrameNotes {
+        &self.0
+    }
+
+    fn word(&self, note: &FrameNote, index: usize) -> u32 {
+        note.place.wrapping_add(index as u32)
+    }
+
+    fn is_intact(&self, _: &FrameNote) -> bool {
+        true
+    }
+}
+
+/// The memory of a board that has changed its mode and had a fault, with a sample and two frames for each millisecond.
 static RECORDED: LazyLock<Vec<u8>> = LazyLock::new(|| {
     let memory = Box::new(Memory::new());
     memory.start(Keep::Nothing);
     memory.set_counts_per_s(480_000_000);
-    let mut events = EventLog::new(&memory);
-    for ms in 1..40 {
-        let mode = if ms % 20 < 10 { Mode::Idle } else { Mode::Moving };
-        let fault = (ms == 39).then_some(Fault::Blind {
+    let (mut new, mut passed) = (Queue::<CycleReport, 4>::new(), Queue::<CycleReport, 4>::new());
+    let ((mut reports, taken), (passed_on, mut link)) = (new.split(), passed.split());
+    let mut recorder = Recorder::new(&memory, taken, passed_on);
+    let (mut events, frames) = (EventLog::new(&memory), Frames::default());
+    for cycle in 1..RECORDED_MS {
+        let report = CycleReport {
+            cycle,
+            following: true,
+            valid: [true; 4],
+            ..CycleReport::default()
+        };
+        assert!(reports.enqueue(report).is_ok(), "the recorder takes each report");
+        frames.0.note(Direction::Sent, cycle, 60, 480_000 * cycle);
+        frames.0.note(Direction::Received, !cycle, 64, 480_000 * cycle + 96_000);
+        recorder.tick(&frames);
+        link.dequeue().expect("each report is handed on");
+        let mode = if cycle % 20 < 10 { Mode::Idle } else { Mode::Moving };
+        let fault = (cycle == RECORDED_MS - 1).then_some(Fault::Blind {
             blind_ms: 6,
             limit_ms: 5,
         });
-        events.watch(ms, mode, fault);
+        events.watch(cycle.into(), mode, fault);
     }
     image(&memory)
 });
@@ -89,30 +126,60 @@ pub(crate) fn elf(bytes: &[u8]) {
     let _ = image.has_double_precision();
 }
 
-/// An image for a Cortex-M with a part that is loaded, a section and no symbols; one for another processor.
+/// An image for a Cortex-M with a part that is loaded, a section and two functions of which one calls the other; one for another
+/// processor.
 pub(crate) fn elf_seeds() -> Vec<Vec<u8>> {
     const HEAD: u16 = 52;
     const PROGRAM: u16 = 32;
     const SECTION: u16 = 40;
+    const FLASH: u32 = 0x0800_0000;
     let halves = |halves: &[u16]| halves.iter().flat_map(|half| half.to_le_bytes()).collect::<Vec<u8>>();
     let words = |words: &[u32]| words.iter().flat_map(|word| word.to_le_bytes()).collect::<Vec<u8>>();
-    let names = b"\0.text\0.names\0";
+    // `caller`: push {lr}; bl callee; pop {pc}. `callee`: bx lr.
+    let code = halves(&[0xB500, 0xF000, 0xF801, 0xBD00, 0x4770, 0]);
+    let section_names = b"\0.text\0.names\0.symtab\0.strtab\0\0\0";
+    let names = b"\0caller\0callee\0\0";
+    let symbol = |name: u32, from: u32, size: u32| {
+        let kind: [u8; 4] = [0x12, 0, 1, 0];
+        [words(&[name, FLASH + from + 1, size]), kind.to_vec()].concat()
+    };
+    let symbols = [vec![0; 16], symbol(1, 0, 8), symbol(8, 8, 2)].concat();
     let file = |machine: u16| {
-        let at = u32::from(HEAD + PROGRAM);
-        let sections = at + 4 + names.len() as u32 + 2;
+        let code_at = u32::from(HEAD + PROGRAM);
+        let section_names_at = code_at + code.len() as u32;
+        let symbols_at = section_names_at + section_names.len() as u32;
+        let names_at = symbols_at + symbols.len() as u32;
+        let sections_at = names_at + names.len() as u32;
+        let section = |[name, kind, address]: [u32; 3], at: u32, size: usize, [link, info, entry]: [u32; 3]| {
+            words(&[
+                name,
+                kind,
+                if kind == 1 { 6 } else { 0 },
+                address,
+                at,
+                size as u32,
+                link,
+                info,
+                4,
+                entry,
+            ])
+        };
         [
             b"\x7FELF\x01\x01\x01".to_vec(),
             vec![0; 9],
             halves(&[2, machine]),
-            words(&[1, 0x0800_0000, HEAD.into(), sections, 0x0500_0000]),
-            halves(&[HEAD, PROGRAM, 1, SECTION, 3, 2]),
-            words(&[1, at, 0x0800_0000, 0x0800_0000, 4, 4, 5, 4]),
-            vec![0x70, 0x47, 0, 0],
+            words(&[1, FLASH, HEAD.into(), sections_at, 0x0500_0000]),
+            halves(&[HEAD, PROGRAM, 1, SECTION, 5, 2]),
+            words(&[1, code_at, FLASH, FLASH, code.len() as u32, code.len() as u32, 5, 4]),
+            code.clone(),
+            section_names.to_vec(),
+            symbols.clone(),
             names.to_vec(),
-            vec![0; 2],
             vec![0; SECTION.into()],
-            words(&[1, 1, 6, 0x0800_0000, at, 4, 0, 0, 4, 0]),
-            words(&[7, 3, 0, 0, at + 4, names.len() as u32, 0, 0, 1, 0]),
+            section([1, 1, FLASH], code_at, code.len(), [0; 3]),
+            section([7, 3, 0], section_names_at, section_names.len(), [0; 3]),
+            section([14, 2, 0], symbols_at, symbols.len(), [4, 1, 16]),
+            section([22, 3, 0], names_at, names.len(), [0; 3]),
         ]
         .concat()
     };
@@ -221,9 +288,11 @@ mod tests {
     #[test]
     fn every_kind_of_input_begins_with_some_that_are_read() {
         let text = |seed: &Vec<u8>| String::from_utf8(seed.clone()).expect("text");
-        assert!(Contents::of(&black_box_seeds()[0]).is_ok());
+        let contents = Contents::of(&black_box_seeds()[0]).expect("a recording");
+        assert!(contents.samples.len() > 30 && contents.frames.len() > 30);
         let image = Image::parse(&elf_seeds()[0]).expect("an image");
         assert!(image.loads().len() == 1 && image.section(".text").is_some());
+        assert_eq!(image.functions().len(), 2);
         for seed in &cell_seeds()[..2] {
             text(seed).parse::<Physics>().expect("a cell");
         }
