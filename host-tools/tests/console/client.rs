@@ -17,7 +17,7 @@ use tungstenite::client::IntoClientRequest;
 use tungstenite::{Message, WebSocket};
 
 /// Longest wait for anything; a busy machine is slow, not wrong.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(120);
+pub(crate) const PATIENCE: Duration = Duration::from_secs(600);
 /// The token of all consoles here.
 pub(crate) const TOKEN: &str = "0123456789abcdef";
 
