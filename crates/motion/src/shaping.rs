@@ -50,9 +50,12 @@ const LONG_BLEND_MM: f64 = 0.2;
 const SPAN_INTERVALS: u16 = 3;
 /// Intervals of a span whose legs are uneven.
 const UNEVEN_SPAN_INTERVALS: u16 = 5;
-/// Largest deflection of the curve's direction over a span, also there and back, as a part of its length, for which fewer
-/// intervals are enough.
+/// Largest deflection of the curve's direction over a span, as a part of its length, for which fewer intervals are
+/// enough.
 const SPAN_GENTLE: f64 = 0.1;
+/// Longest way that both outer legs of a span's control polygon together lead aside of the middle one, as a part of its length,
+/// for which one interval is enough.
+const SPAN_ASIDE: f64 = 0.3;
 /// Largest ratio of the longest to the shortest leg of a span's control polygon that counts as even.
 const SPAN_EVEN: f64 = 1.5;
 /// Least intervals of a line; even, so that a move from rest to rest can change from accelerating to decelerating in
@@ -458,7 +461,7 @@ fn span_intervals(control: &[Vector; 4], leg_length: f64) -> u16 {
         (short.min(*leg), long.max(*leg))
     });
     match (deflection < SPAN_GENTLE * leg_length, long < SPAN_EVEN * short) {
-        (true, true) if aside < SPAN_GENTLE * leg_length => 1,
+        (true, true) if aside < SPAN_ASIDE * leg_length => 1,
         (true, _) => 2,
         (false, true) => SPAN_INTERVALS,
         (false, false) => UNEVEN_SPAN_INTERVALS,

@@ -161,7 +161,11 @@ fn measure(situation: &Situation, trouble: &Trouble) -> Outcome {
     let goes_on = matches!(situation.mode, Mode::Moving | Mode::Drawing | Mode::Homing);
     let is_ordered_to_go_on = goes_on && outcome.noticed_ms.is_none();
     if is_ordered_to_go_on && situation.mode == Mode::Homing {
-        assert_eq!(moved_ms, WATCHED_MS, "{situation:?}, {}: the search goes on", trouble.name);
+        assert_eq!(
+            moved_ms, WATCHED_MS,
+            "{situation:?}, {}: the search goes on",
+            trouble.name
+        );
     }
     outcome.stands_ms = (moved_ms < WATCHED_MS && !is_ordered_to_go_on).then_some(moved_ms);
     outcome.told = robot.fault().filter(|fault| before.is_new(Some(*fault))).map(|fault| {

@@ -29,7 +29,7 @@ const SAMPLES: [(&str, &str); 5] = [
 /// Seeds of paths that lose most of their speed within one interval of the grid as the pen begins to rise, or gain it as the
 /// pen has come down.
 const SUDDEN: [u64; 4] = [10_564, 17_805, 34_316, 41_750];
-/// Seed of a path with a span that turns by 0.3 rad and back, between parallel legs.
+/// Seed of a path with a span that turns there and back between parallel outer legs.
 const THERE_AND_BACK: u64 = 22_258;
 
 /// Allowed excess of a quantity in continuous time. On 20,000 random paths the largest peaks were 5.4 % (tool), 9.3 %

@@ -94,9 +94,9 @@ pub async fn find_source<const SLAVES: usize, const MESSAGE: usize>(
     };
     while let Some(position) = clocks.first(|position, _| may_be(clocks, tried, position)) {
         tried |= SlaveSet::of(position);
-        let station = stations.get(position).copied().unwrap_or(0);
-        if restart_loop(port, station).await.is_ok()
-            && let Ok(bytes) = port.read(station, register::DC_SYSTEM_TIME, 4).await
+        if let Some(station) = stations.get(position)
+            && restart_loop(port, *station).await.is_ok()
+            && let Ok(bytes) = port.read(*station, register::DC_SYSTEM_TIME, 4).await
         {
             if clocks.may_be_the_time(read_u32(&bytes, 0), port.now_ms()) {
                 clocks.found_in_time(position);

@@ -120,7 +120,6 @@ fn how_far_a_clock_may_be_grows_with_the_time_since_the_last_reading_until_32_bi
         (0, 15, 25),
         (1_000, 15, 25),
         (1_000_000, 215, 225),
-        // Three hours: 2.2 s of 4.3 s at 200 parts per million.
         (3_600_000, 735, 745),
     ] {
         for sign in [1_i64, -1] {
@@ -132,10 +131,18 @@ fn how_far_a_clock_may_be_grows_with_the_time_since_the_last_reading_until_32_bi
             }
         }
     }
-    let mut bus = Alone::new(&[3]);
-    bus.clocks.read_ms = 0_u32.wrapping_sub(4 * 3_600_000);
-    bus.set_ahead(3, (1_u64 << 31) - 1);
-    assert_eq!(bus.find(0, &[0, 1, 2]), None, "half of what 32 bits hold");
+    for (off_ms, is_near) in [(995, true), (1_005, false)] {
+        let mut bus = Alone::new(&[3]);
+        // Four hours: 2.9 s at 200 parts per million, of 4.3 s that 32 bits hold.
+        bus.clocks.read_ms = bus.clocks.read_ms.wrapping_sub(4 * 3_600_000);
+        bus.set_ahead(3, off_ms * 1_000_000);
+        bus.set_ahead(3, (4 * 3_600_000_000_000_u64) & u64::from(u32::MAX));
+        assert_eq!(
+            bus.find(0, &[0, 1, 2]).is_some(),
+            is_near,
+            "{off_ms} ms off after four hours"
+        );
+    }
 }
 
 #[test]
