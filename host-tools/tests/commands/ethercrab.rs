@@ -5,8 +5,8 @@ use crate::program::{Folder, Running, etherpen};
 use ethercrab::std::{ethercat_now, tx_rx_task};
 use ethercrab::subdevice_group::{DcConfiguration, HasDc, Op};
 use ethercrab::{
-    DcSupport, DcSync, DefaultLock, MainDevice, MainDeviceConfig, PduStorage, SubDevice, SubDeviceGroup, SubDeviceRef,
-    Timeouts, error::Error,
+    DcSupport, DcSync, DefaultLock, MainDevice, MainDeviceConfig, PduStorage, RetryBehaviour, SubDevice,
+    SubDeviceGroup, SubDeviceRef, Timeouts, error::Error,
 };
 use std::ops::{Deref, DerefMut};
 use std::pin::{Pin, pin};
@@ -390,6 +390,8 @@ fn exchange(
                 ..Timeouts::default()
             };
             let config = MainDeviceConfig {
+                // A computer under load may lose a frame of a raw socket.
+                retry_behaviour: RetryBehaviour::Count(1),
                 dc_static_sync_iterations: 100,
                 ..MainDeviceConfig::default()
             };
