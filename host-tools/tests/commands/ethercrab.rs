@@ -393,7 +393,6 @@ fn exchange(
                 // A computer under load may lose a frame of a raw socket.
                 retry_behaviour: RetryBehaviour::Count(1),
                 dc_static_sync_iterations: 100,
-                ..MainDeviceConfig::default()
             };
             let maindevice = MainDevice::new(pdu_loop, timeouts, config);
             let driver = tx_rx_task(at_master, tx, rx).expect("root may open the interface");
