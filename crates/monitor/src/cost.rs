@@ -31,6 +31,7 @@ fn a_step_costs_little() {
                 angle_rad,
                 speed_rad_s: 0.3,
                 has_power: true,
+                ..Joint::default()
             })
         })
         .collect();

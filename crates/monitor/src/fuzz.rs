@@ -134,7 +134,7 @@ proptest! {
         });
         let mut monitor = Monitor::new(cell);
         for (step, ((inputs, reports, _), time_ms)) in crossings.iter().enumerate() {
-            let joint = Joint { angle_rad: number(step), speed_rad_s: number(step + 1), has_power: step % 2 == 0 };
+            let joint = Joint { angle_rad: number(step), speed_rad_s: number(step + 1), has_power: step % 2 == 0, is_switched_off: step % 3 == 0 };
             let _ = monitor.step(&Moment {
                 // Some follow each other, others leap.
                 time_ms: match step % 4 {

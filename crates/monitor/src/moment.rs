@@ -12,6 +12,8 @@ pub struct Joint {
     pub speed_rad_s: f64,
     /// Whether the drive's power stage moves or holds the motor: operation enabled, quick stop or fault reaction.
     pub has_power: bool,
+    /// Whether an order of the controller took the motor's power within the last two milliseconds.
+    pub is_switched_off: bool,
 }
 
 /// Most axes of a pose.

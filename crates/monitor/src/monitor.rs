@@ -142,6 +142,7 @@ impl Monitor {
         if moment.pen_touches {
             self.drawing.add_ink(&tool);
         }
+        self.drawing.approach(&tool);
         self.drawing.was_disturbed |= self.disturbances.is_misled();
         let more_mm = more_mm.filter(|_| self.orders.is_drawing(self.motion.now_ms))?;
         Some(self.drawing.locate(&self.cell, &self.bounds, &tool, more_mm))

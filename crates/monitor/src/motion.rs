@@ -19,6 +19,7 @@ pub(crate) struct Motion {
     pub(crate) speeds_rad_s: [f64; AXES_MAX],
     pub(crate) speeds_before_rad_s: [f64; AXES_MAX],
     pub(crate) has_power: [bool; AXES_MAX],
+    pub(crate) is_switched_off: [bool; AXES_MAX],
     /// Whether the millisecond before was seen, so that differences mean something.
     pub(crate) is_steady: bool,
     /// Whether all angles and speeds are finite numbers.
@@ -54,6 +55,7 @@ impl Motion {
             turned |= axis < MAIN_AXES && joint.angle_rad != self.angles_rad[axis];
             self.angles_rad[axis] = joint.angle_rad;
             self.speeds_rad_s[axis] = joint.speed_rad_s;
+            self.is_switched_off[axis] = joint.is_switched_off;
             if self.has_power[axis] != joint.has_power {
                 self.has_power[axis] = joint.has_power;
                 self.got_power |= joint.has_power;

@@ -143,6 +143,8 @@ pub struct MotorState {
     pub slave: usize,
     /// State of its drive.
     pub drive: DriveState,
+    /// Whether an order took the motor's power within the last two milliseconds.
+    pub is_switched_off: bool,
     /// True angle, rad.
     pub angle_rad: f64,
     /// True speed, rad/s.
@@ -325,6 +327,7 @@ impl<L: Load> Segment<L> {
         drives.map(|(slave, drive)| MotorState {
             slave,
             drive: drive.state(),
+            is_switched_off: drive.is_switched_off(),
             angle_rad: drive.motor().angle_rad(),
             speed_rad_s: drive.motor().speed_rad_s(),
         })

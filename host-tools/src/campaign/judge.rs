@@ -506,6 +506,7 @@ impl Judge {
             angle_rad: truth.angles_rad[axis],
             speed_rad_s: truth.speeds_rad_s[axis],
             has_power: truth.has_power[axis],
+            is_switched_off: truth.is_switched_off[axis],
         });
         let wire: heapless::Vec<WireFrame<'_>, FRAMES_MAX> = frames
             .iter()

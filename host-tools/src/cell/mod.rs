@@ -28,8 +28,8 @@ mod tuning;
 mod vibration;
 
 pub use etherpen_segment::{
-    AlState, Branch, ClockOptions, DriveState, Fault, MailFault, MailStep, OneTurn, PlaceOptions, Product,
-    ResolverFault, SCRIPT_HELP, Script, SiiFault, SlaveKind, SlaveList, SlaveListError, SlaveState, parse_slaves,
+    AlState, Branch, ClockOptions, Fault, MailFault, MailStep, OneTurn, PlaceOptions, Product, ResolverFault,
+    SCRIPT_HELP, Script, SiiFault, SlaveKind, SlaveList, SlaveListError, SlaveState, parse_slaves,
 };
 pub use faults::read_faults;
 pub use paper::{InkStroke, PEN_SPRING_MM};
@@ -132,6 +132,8 @@ pub struct Truth {
     pub speeds_rad_s: [f64; AXES],
     /// Whether the drive moves or holds its motor; otherwise the brake does.
     pub has_power: [bool; AXES],
+    /// Whether an order took the motor's power within the last two milliseconds.
+    pub is_switched_off: [bool; AXES],
     /// Whether the pen touches.
     pub pen_touches: bool,
 }
@@ -355,10 +357,8 @@ impl Cell {
         for (axis, (motor, gear)) in motors.take(AXES).enumerate() {
             truth.angles_rad[axis] = gear.joint_rad(motor.angle_rad);
             truth.speeds_rad_s[axis] = gear.joint_rad_s(motor.speed_rad_s);
-            truth.has_power[axis] = matches!(
-                motor.drive,
-                DriveState::OperationEnabled | DriveState::QuickStopActive | DriveState::FaultReactionActive
-            );
+            truth.has_power[axis] = motor.drive.has_power();
+            truth.is_switched_off[axis] = motor.is_switched_off;
         }
         machine.behind_play(&mut truth.angles_rad, &mut truth.speeds_rad_s);
         truth

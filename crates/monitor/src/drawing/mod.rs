@@ -10,7 +10,7 @@ mod leg;
 use crate::bounds::Bounds;
 use crate::cell::Cell;
 use crate::moment::{Command, Input, Report};
-use crate::vector::{Vector, is_finite};
+use crate::vector::{Vector, is_finite, length, subtract};
 use grid::Grid;
 use ink::Ink;
 use leg::Leg;
@@ -67,6 +67,8 @@ pub(crate) struct Drawing {
     /// The drawing whose answer was lost, and where its path ends so far.
     unanswered: Option<(u16, Option<Vector>)>,
     end: Option<Vector>,
+    /// Smallest distance of the tool from the end of the path since that was ordered, mm.
+    end_off_mm: f64,
     legs: Vec<Leg>,
     grid: Grid,
     long: Vec<u32>,
@@ -94,6 +96,7 @@ impl Drawing {
             replaced: None,
             unanswered: None,
             end: None,
+            end_off_mm: f64::INFINITY,
             legs: Vec::new(),
             grid: Grid::new(CELL_MM),
             long: Vec::new(),
@@ -302,7 +305,7 @@ impl Drawing {
         let Some(from) = self.end.or(Some(to)).filter(|_| is_finite(&to)) else {
             return;
         };
-        self.end = Some(to);
+        (self.end, self.end_off_mm) = (Some(to), f64::INFINITY);
         let Ok(number) = u32::try_from(self.legs.len()) else {
             return;
         };
@@ -345,6 +348,20 @@ impl Drawing {
                 .any_near(tool[0], tool[1], distance_mm + 0.25 * CELL_MM, |number| {
                     wanted(number as usize)
                 })
+    }
+
+    /// Takes where the tool is, for [`Self::short_of_end`].
+    pub(crate) fn approach(&mut self, tool: &Vector) {
+        if let Some(leg) = self.legs.last() {
+            self.end_off_mm = self.end_off_mm.min(length(subtract(*tool, leg.to)));
+        }
+    }
+
+    /// How near the tool has come to the end of the path, mm, if it was never within a distance of it. `None` too where that
+    /// cannot be known.
+    pub(crate) fn short_of_end(&self, distance_mm: f64) -> Option<f64> {
+        let is_known = !self.was_disturbed && !self.is_too_much && self.limit == u32::MAX && !self.legs.is_empty();
+        Some(self.end_off_mm).filter(|off_mm| is_known && *off_mm > distance_mm)
     }
 
     /// Finds the tool on the path; `more_mm` widens the tolerances.

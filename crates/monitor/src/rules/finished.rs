@@ -1,4 +1,4 @@
-//! Finished: a drawing that is reported as finished has all of its ink.
+//! Finished: a drawing that is reported as finished has all of its ink, and the tool has been at the end of its path.
 //!
 //! Each half millimetre of each leg with the pen down has a point of ink within the tolerance, the following error, and
 //! half the way of the pen in a millisecond at twice the drawing speed; a configured share of these places may have
@@ -21,6 +21,12 @@ impl Finished {
             return Ok(());
         }
         let distance_mm = scene.bounds.drawn_mm + scene.cell.tool_speed_mm_s * HALF_STEP_S;
+        if let Some(off_mm) = scene.drawing.short_of_end(distance_mm) {
+            let text = format!(
+                "the drawing is reported as finished, and the tool came no nearer to its end than {off_mm:.2} mm"
+            );
+            return Err((Rule::Finished, text));
+        }
         match scene.drawing.missing(distance_mm, scene.cell.ink_missing_part) {
             None => Ok(()),
             Some([x, y, _]) => {
@@ -55,6 +61,19 @@ mod tests {
         assert_eq!(rig.step(), Ok(()), "another job");
         rig.report(Report::Finished { job: JOB });
         assert!(broken(&rig.step(), Rule::Finished));
+    }
+
+    #[test]
+    fn a_drawing_whose_pen_was_not_lifted_in_the_end_is_not() {
+        let finished_at = |z_mm: f64| {
+            let mut rig = Rig::drawing_on_paper();
+            assert_eq!(rig.go_to([40.0, 0.0, -850.0], 220), Ok(()));
+            assert_eq!(rig.go_to([40.0, 0.0, z_mm], 50), Ok(()));
+            rig.report(Report::Finished { job: JOB });
+            rig.step()
+        };
+        assert!(broken(&finished_at(-848.5), Rule::Finished));
+        assert_eq!(finished_at(-847.0), Ok(()));
     }
 
     #[test]

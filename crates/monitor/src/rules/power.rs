@@ -5,7 +5,8 @@
 //! 1,000 ms for a standstill and 100 ms for the brakes, and the drives follow within 100 ms. Drives that the telegrams
 //! do not reach take their watchdog's time in addition; a drive that cannot obey is not judged.
 //!
-//! On a machine that nothing disturbs, power is taken from joints that stand: its brake is no means of stopping a robot.
+//! Power is taken from joints that stand: a brake is no means of stopping a robot. Where frames or slaves are disturbed, only
+//! an order that takes the power breaks the rule. A drive that cannot obey, and joints whose angles are not true, are not judged.
 
 use crate::cell::AXES_MAX;
 use crate::scene::{Finding, Scene};
@@ -25,8 +26,12 @@ impl Power {
     pub(crate) fn check(&mut self, scene: &Scene<'_>) -> Finding {
         let (motion, orders) = (scene.motion, scene.orders);
         let had_power = std::mem::replace(&mut self.had_power, motion.has_power);
-        let may_cut = scene.disturbances.may_race() || orders.has_restarted();
+        let may_cut = scene.disturbances.is_misled() || orders.has_restarted();
         for axis in motion.each_axis().filter(|_| !may_cut) {
+            let is_ordered = motion.is_switched_off[axis] && !scene.disturbances.deaf(axis);
+            if scene.disturbances.machine_disturbed() && !is_ordered {
+                continue;
+            }
             let speed = motion.speeds_before_rad_s[axis].abs();
             let late_s = f64::from(scene.cell.drive_delay_ms) / 1_000.0;
             let stands = STANDS_RAD_S + scene.cell.joints[axis].quick_stop_rad_s2 * late_s;
@@ -104,18 +109,35 @@ mod tests {
 
     #[test]
     fn power_is_taken_from_joints_that_stand() {
-        let lost_at = |rad_s: f64, input: Option<Input>| {
+        let lost_at = |rad_s: f64, input: Option<Input>, is_switched_off: bool| {
             let mut rig = Rig::drawing();
             rig.accelerate_to(rad_s);
             assert_eq!(rig.run(4), Ok(()));
             input.into_iter().for_each(|input| rig.input(input));
             rig.power(false);
+            rig.joints[0].is_switched_off = is_switched_off;
             rig.step()
         };
-        assert!(broken(&lost_at(0.5, None), Rule::Power));
-        assert_eq!(lost_at(0.05, None), Ok(()));
-        assert_eq!(lost_at(0.5, Some(Input::Machine { disturbed: true })), Ok(()));
-        assert_eq!(lost_at(0.5, Some(Input::Restarted)), Ok(()));
+        let disturbed = Input::Machine { disturbed: true };
+        let untrue = Input::Feedback {
+            axis: 1,
+            disturbed: true,
+        };
+        for is_switched_off in [false, true] {
+            assert!(broken(&lost_at(0.5, None, is_switched_off), Rule::Power));
+            assert_eq!(lost_at(0.05, None, is_switched_off), Ok(()));
+            assert_eq!(lost_at(0.05, Some(disturbed), is_switched_off), Ok(()));
+            assert_eq!(lost_at(0.5, Some(untrue), is_switched_off), Ok(()));
+            assert_eq!(lost_at(0.5, Some(Input::Restarted), is_switched_off), Ok(()));
+        }
+        assert_eq!(lost_at(0.5, Some(disturbed), false), Ok(()), "by the disturbance");
+        assert!(broken(&lost_at(0.5, Some(disturbed), true), Rule::Power), "by an order");
+        let deaf = Input::Drive { axis: 0, deaf: true };
+        assert_eq!(
+            lost_at(0.5, Some(deaf), true),
+            Ok(()),
+            "an order that it could not take in time"
+        );
     }
 
     #[test]

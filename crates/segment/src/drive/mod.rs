@@ -91,6 +91,15 @@ pub enum DriveState {
 }
 
 impl DriveState {
+    /// Whether the power stage moves or holds the motor.
+    #[must_use]
+    pub fn has_power(self) -> bool {
+        matches!(
+            self,
+            Self::OperationEnabled | Self::QuickStopActive | Self::FaultReactionActive
+        )
+    }
+
     fn status_bits(self) -> u16 {
         match self {
             Self::SwitchOnDisabled => 0x0040,
@@ -144,6 +153,8 @@ pub(crate) struct Drive {
     /// Quick-stop deceleration, position increments per second squared at the motor.
     pub(crate) quick_stop_increments_s2: u32,
     control: u16,
+    /// Whether the last control word took the power of the motor.
+    is_switched_off: bool,
     status: u16,
     error_code: u16,
     second_millisecond: bool,
@@ -180,6 +191,7 @@ impl Drive {
             mode_display: 0,
             quick_stop_increments_s2: 0,
             control: 0,
+            is_switched_off: false,
             status: 0,
             error_code: 0,
             second_millisecond: false,
@@ -238,6 +250,7 @@ impl Drive {
         self.mode_display = 0;
         self.quick_stop_increments_s2 = (self.options.quick_stop_rad_s2 * self.increments_per_rad()) as u32;
         self.control = 0;
+        self.is_switched_off = false;
         self.error_code = 0;
         self.position_loop = PositionLoop::new(self.options.increments_per_revolution);
         self.one_turn
@@ -264,6 +277,11 @@ impl Drive {
     /// Control word in effect, object 0x6040.
     pub(crate) fn control(&self) -> u16 {
         self.control
+    }
+
+    /// Whether the last control word took the power of the motor, in the one or two milliseconds behind it.
+    pub(crate) fn is_switched_off(&self) -> bool {
+        self.is_switched_off
     }
 
     /// Error code of the present fault, object 0x603F; 0 without a fault.
@@ -499,6 +517,7 @@ impl Drive {
     }
 
     fn obey(&mut self, control: Option<u16>) {
+        self.is_switched_off = false;
         let Some(control) = control else {
             self.control = 0;
             self.state = match self.state {
@@ -518,7 +537,9 @@ impl Drive {
             }
             return;
         }
+        let had_power = self.state.has_power();
         self.state = self.next_state(control);
+        self.is_switched_off = had_power && !self.state.has_power();
     }
 
     fn next_state(&self, control: u16) -> DriveState {

@@ -18,6 +18,29 @@ pub(super) const STOPPED_MAX_MS: u32 = 300;
 const PROCESSOR_SEED: u64 = 0x0F0C_E550_0000;
 /// Gives encoders that slip without power random numbers of their own.
 const BRAKES_SEED: u64 = 0x0B4A_CE50_0000;
+/// Gives faults that come alone random numbers of their own.
+const LONE_SEED: u64 = 0x010A_EF00_0000;
+/// Gives drives that refuse the choice of their process data random numbers of their own.
+const CHOICE_SEED: u64 = 0x0C40_1CE0_0000;
+/// Longest absence of a drive that comes alone, and most replies in a row that are lost, ms and frames.
+const ABSENT_MAX_MS: f64 = 3_000.0;
+const LOST_MAX: f64 = 4_000.0;
+
+/// The only event of an episode, now and then: what other faults would hide. A drive without supply for longer than its
+/// position may be missing, or lost replies: the drives hear their orders and the controller hears nothing.
+pub(super) fn lone(machine: &Machine, seed: u64, profile: Profile, duration_ms: u32) -> Option<Vec<Event>> {
+    let mut chance = Chance::new(seed ^ LONE_SEED);
+    if !matches!(profile, Profile::Bus | Profile::All) || !chance.one_in(8) {
+        return None;
+    }
+    let slave = chance.one_of(&machine.chain.drives);
+    let what = match chance.one_in(2) {
+        true => What::Fault(format!("power {slave} {}", chance.scaled(300.0, ABSENT_MAX_MS) as u32)),
+        false => What::Frames("lose".to_owned(), chance.scaled(50.0, LOST_MAX) as u32),
+    };
+    let at_ms = chance.below(duration_ms.into()) as u32;
+    Some(vec![Event { at_ms, what }])
+}
 
 /// Lets somebody handle the pen now and then: among the other wishes, or instead of them.
 pub(super) fn handle(episode: &mut Episode, seed: u64) {
@@ -49,7 +72,30 @@ pub(super) fn events(machine: &Machine, seed: u64, profile: Profile, duration_ms
     if matches!(profile, Profile::Drives | Profile::All) && brakes.one_in(6) {
         events.extend(jump_without_power(&mut brakes, machine, duration_ms));
     }
+    let mut choices = Chance::new(seed ^ CHOICE_SEED);
+    if matches!(profile, Profile::Bus | Profile::All) && choices.one_in(8) {
+        events.extend(refused_choice(&mut choices, machine, duration_ms));
+    }
     events
+}
+
+/// A drive that refuses a request when it is set up again, as it may refuse the choice of its process data, and another one that
+/// is set up behind it.
+fn refused_choice(chance: &mut Chance, machine: &Machine, duration_ms: u32) -> [Event; 3] {
+    let first = chance.one_of(&machine.chain.drives);
+    let other = chance.one_of(&machine.chain.drives);
+    let at_ms = chance.below(duration_ms.into()) as u32;
+    let later_ms = chance.scaled(500.0, 6_000.0) as u32;
+    let request = 1 + chance.below(12);
+    [
+        (at_ms, format!("power {first} 50")),
+        (at_ms + 1, format!("mailbox {first} {request} abort 0x06010002")),
+        (at_ms + later_ms, format!("power {other} 50")),
+    ]
+    .map(|(at_ms, words)| Event {
+        at_ms,
+        what: What::Fault(words),
+    })
 }
 
 /// Lowers the pen, jogs upwards and draws.
