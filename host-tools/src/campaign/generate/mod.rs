@@ -89,9 +89,7 @@ pub fn episode(machine: &Machine, seed: u64, profile: Profile) -> Episode {
         episode
             .events
             .extend(seldom::events(machine, seed, profile, duration_ms));
-        if let Some(lone) = seldom::lone(machine, seed, profile, duration_ms) {
-            episode.events = lone;
-        }
+        seldom::lone(&mut episode, machine, seed, profile);
         episode.events.sort_by_key(|event| event.at_ms);
     }
     episode

@@ -3,8 +3,8 @@
 use super::super::chance::Chance;
 use super::super::episode::{Episode, Event, What, Wish};
 use super::super::machine::Machine;
-use super::Profile;
 use super::orders::velocity;
+use super::{CROWD_MAX, Profile, setup};
 use etherpen::messages::Command;
 use etherpen::motion::Pen;
 
@@ -26,20 +26,66 @@ const CHOICE_SEED: u64 = 0x0C40_1CE0_0000;
 const ABSENT_MAX_MS: f64 = 3_000.0;
 const LOST_MAX: f64 = 4_000.0;
 
-/// The only event of an episode, now and then: what other faults would hide. A drive without supply for longer than its
-/// position may be missing, or lost replies: the drives hear their orders and the controller hears nothing.
-pub(super) fn lone(machine: &Machine, seed: u64, profile: Profile, duration_ms: u32) -> Option<Vec<Event>> {
+/// The only events of an episode, now and then: what other faults would hide. A drive without supply for longer than its
+/// position may be missing; a long stop of which the controller sees nothing; more orders than there is room for while the
+/// trajectory waits, and a stop behind them.
+pub(super) fn lone(episode: &mut Episode, machine: &Machine, seed: u64, profile: Profile) {
     let mut chance = Chance::new(seed ^ LONE_SEED);
-    if !matches!(profile, Profile::Bus | Profile::All) || !chance.one_in(8) {
-        return None;
+    if !matches!(profile, Profile::Bus | Profile::Board | Profile::All) || !chance.one_in(8) {
+        return;
     }
+    let at_ms = chance.below(episode.duration_ms.into()) as u32;
     let slave = chance.one_of(&machine.chain.drives);
-    let what = match chance.one_in(2) {
-        true => What::Fault(format!("power {slave} {}", chance.scaled(300.0, ABSENT_MAX_MS) as u32)),
-        false => What::Frames("lose".to_owned(), chance.scaled(50.0, LOST_MAX) as u32),
+    let kind = match profile {
+        Profile::Bus => chance.below(2),
+        Profile::Board => 2,
+        _ => chance.below(3),
     };
-    let at_ms = chance.below(duration_ms.into()) as u32;
-    Some(vec![Event { at_ms, what }])
+    let event = |what: What| vec![Event { at_ms, what }];
+    episode.events = match kind {
+        0 => event(What::Fault(format!(
+            "power {slave} {}",
+            chance.scaled(300.0, ABSENT_MAX_MS) as u32
+        ))),
+        1 => {
+            setup::with_gentle_stops(episode, machine, &mut chance);
+            stop_without_replies(&mut chance, at_ms)
+        }
+        _ => orders_without_room(&mut chance, at_ms),
+    };
+}
+
+/// Lost replies: the drives hear their orders and the controller hears nothing. A quick stop may have begun shortly before.
+fn stop_without_replies(chance: &mut Chance, at_ms: u32) -> Vec<Event> {
+    let lost = What::Frames("lose".to_owned(), chance.scaled(50.0, LOST_MAX) as u32);
+    let later_ms = chance.scaled(1.0, 100.0) as u32;
+    let mut events = vec![Event {
+        at_ms: at_ms + later_ms,
+        what: lost,
+    }];
+    if chance.one_in(2) {
+        events.push(Event {
+            at_ms,
+            what: What::StopInput(500),
+        });
+    }
+    events
+}
+
+/// Orders for a trajectory that waits, and a stop behind them.
+fn orders_without_room(chance: &mut Chance, at_ms: u32) -> Vec<Event> {
+    let waits = What::TrajectoryWaits(chance.below(30) as u32 + 60);
+    let orders = (0..CROWD_MAX).map(|_| {
+        let percent = 10 + chance.below(191) as u8;
+        What::Beside(Command::Override { percent })
+    });
+    let events = [waits].into_iter().chain(orders).map(|what| Event { at_ms, what });
+    let mut events: Vec<Event> = events.collect();
+    events.push(Event {
+        at_ms: at_ms + 40,
+        what: What::Beside(Command::Stop),
+    });
+    events
 }
 
 /// Lets somebody handle the pen now and then: among the other wishes, or instead of them.

@@ -22,6 +22,8 @@ const POSITION_GAIN_PER_S: f64 = 100.0;
 const FOLDED_MAX_RAD: f64 = 1.0;
 /// Least distance of a joint from an end of its range at the start, rad.
 const END_RAD: f64 = 0.05;
+/// Strongest quick stop that is tried as a gentle one, rad/s2.
+const QUICK_STOP_MAX_RAD_S2: f64 = 200.0;
 /// Steepest sheet along each side, mm for each mm.
 const TILT_MAX: f64 = 0.03;
 /// Gives the choice of position mode random numbers of its own.
@@ -140,6 +142,30 @@ fn soften(episode: &mut Episode, machine: &Machine, rad_s2: f64) {
         .extend(axes.clone().map(|axis| (place(axis), value.clone())));
     if episode.configuration().is_err() {
         axes.for_each(|axis| _ = episode.config.remove(&place(axis)));
+    }
+}
+
+/// Makes the joints slow and their quick stops the weakest that the configuration may have, so that a stop from every move takes
+/// long.
+pub(super) fn with_gentle_stops(episode: &mut Episode, machine: &Machine, chance: &mut Chance) {
+    let part = chance.between(0.1, 1.0);
+    let speeds = machine
+        .config
+        .motion
+        .joint_speed_rad_s
+        .map(|rad_s| Value::Float((rad_s * part * 1e3).round() / 1e3));
+    let before = episode.config.clone();
+    episode
+        .config
+        .insert("motion.joint_speed_rad_s".into(), Value::Array(speeds.to_vec()));
+    episode.config.retain(|place, _| !place.ends_with(".quick_stop_rad_s2"));
+    let mut rad_s2 = 1.0;
+    while rad_s2 < QUICK_STOP_MAX_RAD_S2 && !episode.config.contains_key("axes.0.quick_stop_rad_s2") {
+        soften(episode, machine, rad_s2);
+        rad_s2 *= 1.1;
+    }
+    if episode.configuration().is_err() {
+        episode.config = before;
     }
 }
 
