@@ -4,6 +4,8 @@
 //! those of a board. Nothing waits for a clock, so a run is as fast as the computer, and its result is identical on
 //! every computer.
 
+mod stack;
+
 use crate::emulator::Segment;
 use embassy_net_driver::{Capabilities, Driver, HardwareAddress, LinkState, RxToken, TxToken};
 use etherpen::black_box::{Keep, Memory, NoFrames};
@@ -153,8 +155,7 @@ pub async fn milliseconds(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms:
         usb_bytes: _,
         mut link,
         mut supervisor,
-        // Raw frames need no addresses.
-        network: _,
+        mut network,
         // Virtual time has no durations.
         measurements: _,
     } = channels.split("simulation", &black_box);
@@ -165,6 +166,7 @@ pub async fn milliseconds(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms:
     });
     let no_frames = NoFrames::default();
     let mut watch = std::pin::pin!(supervisor.run());
+    let mut network = std::pin::pin!(network.run());
     let mut to_firmware = Vec::new();
     let mut from_firmware = [0; LINE_BYTES_PER_MS];
     let mut release_ns = 0;
@@ -206,6 +208,8 @@ pub async fn milliseconds(cell: &mut dyn Segment, host: &mut dyn Host, limit_ms:
         host.recorded(&black_box);
         let poll = watch.as_mut().poll(&mut Context::from_waker(Waker::noop()));
         debug_assert_eq!(poll, Poll::Pending, "the supervisor never ends");
+        let poll = stack::poll(network.as_mut(), ms);
+        debug_assert_eq!(poll, Poll::Pending, "the IP stack never ends");
         if host.is_over() {
             return ms;
         }

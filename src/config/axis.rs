@@ -55,7 +55,8 @@ pub struct Axis {
     pub feedback_acceleration_max_rad_s2: f64,
     /// Largest velocity command, rad/s at the joint.
     pub output_max_rad_s: f64,
-    /// Quick-stop deceleration at the joint, rad/s2.
+    /// Quick-stop deceleration at the joint, rad/s2; at the motor at most 2^32 - 1 increments per second squared, which is what
+    /// a drive can be told.
     pub quick_stop_rad_s2: f64,
     /// Torque constant of the motor, N m/A.
     pub torque_constant_nm_a: f64,

@@ -6,6 +6,7 @@ use super::pen_lift::PEN_BOUNDS;
 use super::{Axis, Bus, Config, PenLiftKind, Transport};
 use crate::robot_bus::BUS_SLAVES_MAX;
 use crate::robots::{AXES, Kind, MAIN_AXES};
+use core::f64::consts::TAU;
 use etherpen_motion::Settings;
 use etherpen_motion::settings::{Bound, Violation, bound, first_violation};
 use serde::{Deserialize, Serialize};
@@ -58,6 +59,9 @@ const BLIND_MAX_MS: f64 = 8.0;
 /// Longest time that a quick stop may take from an axis's highest speed, ms. The brakes close after
 /// `application::STANDSTILL_MAX_MS`, whether the axes are at rest or not.
 pub const QUICK_STOP_MAX_MS: u32 = 950;
+
+/// Strongest quick stop of any axis, rad/s2.
+const QUICK_STOP_HIGHEST_RAD_S2: f64 = 2000.0;
 
 /// Rows of the bus in the table of bounds.
 const BUS_BOUNDS: usize = 12;
@@ -124,6 +128,14 @@ impl Axis {
         libm::ceil(needed * 100.0) / 100.0
     }
 
+    /// Strongest quick stop that any axis may have, or that its drive can be told: object 0x6085 has 32 bits for increments
+    /// per second squared at the motor. rad/s2, rounded down to hundredths.
+    fn quick_stop_max_rad_s2(&self) -> f64 {
+        let increments_per_rad = self.gear.abs() * f64::from(self.increments_per_revolution) / TAU;
+        let told = f64::from(u32::MAX) / increments_per_rad;
+        libm::floor(told.min(QUICK_STOP_HIGHEST_RAD_S2) * 100.0) / 100.0
+    }
+
     fn scalars(&self, joint_speed_rad_s: f64) -> [Bound; AXIS_BOUNDS] {
         let [vendor, product, revision, alias, switch, serial] = self.identity_bounds(None);
         let [home_speed, home_latch, home_pull_off, home_travel] = self.home_bounds();
@@ -177,7 +189,7 @@ impl Axis {
                 "axes.quick_stop_rad_s2",
                 self.quick_stop_rad_s2,
                 self.quick_stop_min_rad_s2(joint_speed_rad_s).max(1.0),
-                2000.0,
+                self.quick_stop_max_rad_s2(),
             ),
             bound("axes.torque_constant_nm_a", self.torque_constant_nm_a, 0.001, 100.0),
             bound("axes.peak_current_a", self.peak_current_a, 0.01, 1000.0),

@@ -294,6 +294,22 @@ mod tests {
     }
 
     #[test]
+    fn a_quick_stop_that_no_drive_can_be_told_is_refused_with_the_strongest_one() {
+        let mut config = Config::default();
+        (config.axes[2].gear, config.axes[2].increments_per_revolution) = (-18.658_079, 1 << 24);
+        let error = config.check().unwrap_err();
+        assert_eq!(
+            (error.field.name(), error.field.axis),
+            ("axes.quick_stop_rad_s2", Some(2))
+        );
+        let told = |config: &Config| crate::drives::quick_stop_increments_s2(&config.axes[2].drive());
+        assert_eq!(told(&config), None);
+        config.axes[2].quick_stop_rad_s2 = error.high;
+        assert_eq!(config.check(), Ok(()), "the value that it names is enough");
+        assert!(told(&config).is_some_and(|increments_s2| increments_s2 > 4_290_000_000));
+    }
+
+    #[test]
     fn with_one_telegram_for_both_directions_every_lead_is_a_millisecond_longer_than_configured() {
         let mut config = Config::default();
         let leads = |axis: &Axis| [axis.feed_forward_lead_ms, axis.position_lead_ms, axis.torque_lead_ms];

@@ -7,6 +7,7 @@ mod limit;
 pub mod path_stop;
 pub mod pen_switch;
 pub mod position;
+mod rest;
 pub mod robot_axes;
 pub mod sampler;
 pub mod search;

@@ -27,6 +27,7 @@ use crate::control::limit::limited;
 use crate::control::path_stop::PathStop;
 use crate::control::pen_switch::PenSwitch;
 use crate::control::position::PositionController;
+use crate::control::rest::Rest;
 use crate::control::robot_axes::{AxisCommand, Demand, PositionDemand, RobotAxes};
 use crate::control::search::Search;
 use crate::control::supervision::{Observation, Supervision};
@@ -53,9 +54,7 @@ pub const OUTPUT_LATE_NS: u32 = 500_000;
 pub const FRAMES_PER_RUN: usize = 8;
 /// Samples between two releases of the trajectory task.
 pub const TRAJECTORY_PERIOD: u32 = crate::motion::PERIOD_MS as u32;
-/// Speed below which an axis is at rest, rad/s.
-pub const STANDSTILL_RAD_S: f64 = 0.01;
-/// How long an axis must be below [`STANDSTILL_RAD_S`], ms.
+/// How long an axis must be at rest, by its speed or between two increments, ms.
 pub const STANDSTILL_MS: u16 = 20;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -100,6 +99,7 @@ pub struct Sampler<'a, G = RobotGroup<'a>> {
     home_lost: [bool; AXES],
     /// Whether an axis's last and next angle count from the same zero.
     same_zero: [bool; AXES],
+    rest: [Rest; AXES],
     still_ms: u16,
     late: u16,
     missed: u32,
@@ -156,6 +156,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             was_enabled: [false; AXES],
             home_lost: [false; AXES],
             same_zero: [false; AXES],
+            rest: [Rest::UNKNOWN; AXES],
             still_ms: 0,
             late: 0,
             missed: 0,
@@ -399,6 +400,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
                     self.robot.configure(&axes, self.used);
                     self.leave_out_absent();
                     self.has_torque_axis = axes.iter().take(self.used).any(|axis| axis.mode == AxisMode::Torque);
+                    self.rest = axes.each_ref().map(Rest::of);
                     (self.axes, self.bus) = (axes, bus);
                     self.renew_controllers();
                     self.same_zero = [false; AXES];
@@ -492,7 +494,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             now.measured_rad[AXIS] = before_rad + now.measured_rad_s[AXIS] / CYCLES_PER_S;
         }
         // Silence does not mean rest: the last measured speed decides.
-        now.measured_rad_s[AXIS].abs() < STANDSTILL_RAD_S
+        self.rest[AXIS].is_at(now.measured_rad[AXIS], now.measured_rad_s[AXIS])
     }
 
     /// Advances to this millisecond's setpoint. Returns whether one is followed, and whether one was missing.

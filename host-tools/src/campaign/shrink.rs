@@ -55,8 +55,14 @@ impl Search<'_> {
         }
     }
 
-    /// Takes values of the configuration back to their defaults, one after the other.
+    /// Takes values of the configuration back to their defaults: those of a group together, because a machine may be none with
+    /// some of them only, then one after the other.
     fn reset_values(&mut self) {
+        for (table, name) in groups(&self.best) {
+            let mut smaller = self.best.clone();
+            smaller.config.retain(|place, _| group(place) != (&table, &name));
+            self.attempt(smaller);
+        }
         for place in self.best.config.keys().cloned().collect::<Vec<_>>() {
             let mut smaller = self.best.clone();
             smaller.config.remove(&place);
@@ -141,6 +147,24 @@ impl Search<'_> {
         smaller.figures[figure].0[stroke].truncate(points.div_ceil(2).max(2));
         points > 2 && self.attempt(smaller)
     }
+}
+
+/// The values that belong together with the one of this place: a table, or equal values of all axes.
+fn group(place: &str) -> (&str, &str) {
+    match place.split_once('.') {
+        Some(("axes", value)) => ("axes", value.split_once('.').map_or(value, |(_, name)| name)),
+        Some((table, _)) => (table, ""),
+        None => (place, ""),
+    }
+}
+
+/// The groups of an episode's values, each once.
+fn groups(episode: &Episode) -> Vec<(String, String)> {
+    let owned = |(table, name): (&str, &str)| (table.to_owned(), name.to_owned());
+    let mut groups: Vec<_> = episode.config.keys().map(|place| owned(group(place))).collect();
+    groups.sort_unstable();
+    groups.dedup();
+    groups
 }
 
 /// A small episode that breaks the same rule as `episode`, and what it finds; `None` if `episode` does not fail.

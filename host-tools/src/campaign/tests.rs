@@ -72,6 +72,59 @@ fn the_first_seeds_of_every_bundled_machine_find_nothing() {
     }
 }
 
+/// The first episode without faults of a machine whose configuration is such a one.
+fn first_with(machine: &Machine, is_such: impl Fn(&Config) -> bool) -> Episode {
+    let mut episodes = (0..200).map(|seed| generate::episode(machine, seed, Profile::Quiet));
+    let found = episodes.find(|episode| episode.configuration().is_ok_and(|config| is_such(&config)));
+    found.expect("an episode of this kind")
+}
+
+#[test]
+fn every_machine_draws_with_other_dimensions_with_other_gears_and_in_udp() {
+    for machine in MACHINES.map(|bundled| machine(bundled.name)) {
+        let usual = &machine.config;
+        let episodes = [
+            first_with(&machine, |config| config.geometry != usual.geometry),
+            first_with(&machine, |config| config.axes[0].gear < 0.0),
+            first_with(&machine, |config| config.bus.network().is_some()),
+        ];
+        for (number, episode) in episodes.iter().enumerate() {
+            assert_eq!(run(episode).failure, None, "{}, episode {number}", machine.name);
+        }
+    }
+}
+
+#[test]
+fn a_robot_that_is_not_as_it_is_configured_is_found_from_its_motors() {
+    for machine in MACHINES.map(|bundled| machine(bundled.name)) {
+        let episode = first_with(&machine, |config| config.geometry != machine.config.geometry);
+        let mut config = episode.configuration().expect("a valid configuration");
+        let world = World::new(Cell::new(&config, CellOptions::default()));
+        // One motor turns its joint a tenth farther than the controller and the monitor believe.
+        config.axes[0].gear /= 1.1;
+        let mut operator = Operator::new(&episode, config, world.clone());
+        with_resets(&mut operator, |operator, begun_ms, left_ms| {
+            let mut segment = begun_later(&world, begun_ms);
+            (simulation::run(&mut segment, operator, left_ms), ())
+        });
+        let failure = operator.into_failure();
+        println!("{}: {failure:?}", machine.name);
+        assert!(failure.is_some(), "{}", machine.name);
+    }
+}
+
+#[test]
+fn episodes_in_udp_side_by_side_are_those_that_ran_alone() {
+    let machine = machine(DEFAULT_MACHINE);
+    let episode = first_with(&machine, |config| config.bus.network().is_some());
+    let alone = run(&episode);
+    let beside = std::thread::scope(|scope| {
+        let others = [(); 2].map(|()| scope.spawn(|| run(&episode)));
+        others.map(|other| other.join().expect("no panic"))
+    });
+    assert_eq!(beside, [alone.clone(), alone]);
+}
+
 #[test]
 fn an_episode_repeats_exactly() {
     let whole = episode(3, Profile::All);

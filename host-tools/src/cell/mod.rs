@@ -18,6 +18,7 @@ mod faults;
 mod joint;
 mod machine;
 mod mechanism;
+mod neighbour;
 mod paper;
 mod pen_lift;
 mod physics;
@@ -46,6 +47,7 @@ use etherpen::robots::{AXES, JointAngles, JointVelocities, Position};
 use etherpen_segment::{Load, Segment, SegmentOptions};
 use joint::Gear;
 use machine::Machine;
+use neighbour::Neighbour;
 use pen_lift::PenOutput;
 use std::collections::BTreeMap;
 use std::f64::consts::TAU;
@@ -155,6 +157,8 @@ pub struct Cell {
     /// The output that lowers the pen.
     pen: Option<PenOutput>,
     switches: Switches,
+    /// Who tells the address of the next hop, with EtherCAT in UDP.
+    neighbour: Option<Neighbour>,
 }
 
 impl Cell {
@@ -212,6 +216,7 @@ impl Cell {
             segment,
             pen,
             switches: Switches::new(config),
+            neighbour: Neighbour::new(config),
         };
         for (slave, contacts) in contacts {
             cell.set_inputs(slave, &[contacts]);
@@ -259,14 +264,17 @@ impl Cell {
     }
 
     /// Passes an Ethernet frame through the segment at this time. Returns the replies in order: usually one, none for a
-    /// lost or foreign frame, more if the script says so.
+    /// lost or foreign frame, more if the script says so. With EtherCAT in UDP the request for the address of the next hop is
+    /// answered.
     pub fn frame(&mut self, time_us: u64, frame: &[u8]) -> Vec<Vec<u8>> {
-        self.follow_machine();
-        self.segment.frame(time_us, frame)
+        self.frame_at_ns(time_us.saturating_mul(1_000), frame)
     }
 
     /// Passes a frame through the segment at a time in nanoseconds, which distributed clocks need; returns the replies.
     pub fn frame_at_ns(&mut self, time_ns: u64, frame: &[u8]) -> Vec<Vec<u8>> {
+        if let Some(answer) = self.neighbour.and_then(|neighbour| neighbour.answer(frame)) {
+            return vec![answer];
+        }
         self.follow_machine();
         self.segment.frame_at_ns(time_ns, frame)
     }

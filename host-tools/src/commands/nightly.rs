@@ -56,6 +56,10 @@ fn steps() -> Vec<Step> {
             "-p etherpen-ethercat --lib -- exchange_tests encapsulation_tests telegram acyclic frame_port",
         ),
         miri("miri-drives", "-p etherpen-drives --lib"),
+        miri(
+            "miri-link",
+            "-p etherpen-link --lib -- --skip garbage --skip nonsense --skip any_one_damaged_byte --skip the_longest_payload",
+        ),
         Step::new("advisories", "deny check"),
         Step::new(
             "limits",

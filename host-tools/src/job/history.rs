@@ -2,12 +2,15 @@
 //! resumed.
 //!
 //! Under `$XDG_STATE_HOME/etherpen/jobs` (`~/.local/state/etherpen/jobs`). A file is replaced as a whole or not at all.
-//! Its beginning and its end are synced; the progress in between is not, so a slow disk causes no delay.
+//! Its beginning and its end are synced; the progress in between is not, so a slow disk causes no delay. Its last line has a
+//! hash of the lines before it: a damaged number would let a drawing go on at another place.
 //!
-//! Invariant: `executed` never exceeds what the firmware has reported.
+//! Invariants: `executed` never exceeds what the firmware has reported; a file with a damaged byte, or a part of one, is not read
+//! as another drawing.
 
 use super::progress::Progress;
 use crate::error::ProgramError;
+use crate::hash::fnv1a;
 use crate::output_file::{OutputFile, make_folder, write_bytes};
 use image::RgbImage;
 use serde::{Deserialize, Serialize};
@@ -15,6 +18,12 @@ use std::fs;
 use std::io::{self, Cursor, Write};
 use std::path::{Path, PathBuf};
 use std::time::{SystemTime, UNIX_EPOCH};
+
+/// What stands between the lines of an entry and their hash, in the place of [`END`], and what follows the hash.
+const CHECK: &str = ",\n  \"check\": \"";
+const AFTER_CHECK: &str = "\"\n}";
+/// The end of an entry's lines.
+const END: &str = "\n}";
 
 /// One drawing.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
@@ -136,10 +145,34 @@ impl Record {
     fn written(&mut self) -> io::Result<OutputFile> {
         let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         self.entry.changed_unix_s = now.as_secs();
+        // Somebody may have removed it.
+        if let Some(folder) = self.path.parent() {
+            fs::create_dir_all(folder)?;
+        }
         let mut out = OutputFile::create(&self.path)?;
-        out.write_all(&serde_json::to_vec_pretty(&self.entry)?)?;
+        out.write_all(checked(&serde_json::to_string_pretty(&self.entry)?).as_bytes())?;
         Ok(out)
     }
+}
+
+/// The lines of an entry with their hash.
+fn checked(lines: &str) -> String {
+    let hash = hash_text(fnv1a(lines.bytes()));
+    match lines.strip_suffix(END) {
+        Some(body) => format!("{body}{CHECK}{hash}{AFTER_CHECK}"),
+        None => lines.to_owned(),
+    }
+}
+
+/// The entry of a file's bytes; `None` if they are damaged. A file of a program that wrote no hash is taken as it is.
+fn entry_of(bytes: &[u8]) -> Option<HistoryEntry> {
+    let text = std::str::from_utf8(bytes).ok()?;
+    if let Some((body, _)) = text.rsplit_once(CHECK)
+        && checked(&format!("{body}{END}")) != text
+    {
+        return None;
+    }
+    serde_json::from_str(text).ok()
 }
 
 /// The folder of the log.
@@ -185,6 +218,31 @@ pub fn keep_picture(picture: &RgbImage) -> Result<PathBuf, ProgramError> {
 /// # Errors
 /// The folder cannot be read; a folder that does not exist is an empty log.
 pub fn list(folder: &Path) -> io::Result<Vec<Record>> {
+    let records = files(folder)?.into_iter().filter_map(|path| {
+        let entry = entry_of(&fs::read(&path).ok()?)?;
+        Some(Record { path, entry })
+    });
+    Ok(records.collect())
+}
+
+/// The name of the newest drawing of this path whose file cannot be read or is damaged, if any.
+///
+/// # Errors
+/// The folder cannot be read; a folder that does not exist is an empty log.
+pub fn newest_damaged(folder: &Path, path_hash: &str) -> io::Result<Option<String>> {
+    let of_path = format!("-{path_hash}-");
+    let name = |path: &PathBuf| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let is_damaged = |path: &PathBuf| fs::read(path).map_or(true, |bytes| entry_of(&bytes).is_none());
+    let files = files(folder)?;
+    let mut damaged = files
+        .iter()
+        .rev()
+        .filter(|path| name(path).contains(&of_path) && is_damaged(path));
+    Ok(damaged.next().map(name))
+}
+
+/// The files of all drawings, the oldest first; none in a folder that does not exist.
+fn files(folder: &Path) -> io::Result<Vec<PathBuf>> {
     let files = match fs::read_dir(folder) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
         files => files?,
@@ -192,11 +250,7 @@ pub fn list(folder: &Path) -> io::Result<Vec<Record>> {
     let mut paths: Vec<PathBuf> = files.flatten().map(|file| file.path()).collect();
     paths.retain(|path| path.extension().is_some_and(|extension| extension == "json"));
     paths.sort();
-    let records = paths.into_iter().filter_map(|path| {
-        let entry = serde_json::from_slice(&fs::read(&path).ok()?).ok()?;
-        Some(Record { path, entry })
-    });
-    Ok(records.collect())
+    Ok(paths)
 }
 
 #[cfg(test)]

@@ -11,6 +11,8 @@
 //! so that STOP never waits for it. A drawing held since another connection is resumed only if the firmware still holds
 //! exactly that drawing.
 
+#[cfg(test)]
+mod damaged_tests;
 pub mod error;
 mod events;
 pub mod history;

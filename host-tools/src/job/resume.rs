@@ -123,7 +123,7 @@ impl Resumption {
     /// There is none.
     pub fn candidates(&self, hash: &str, file: &Path) -> Result<Vec<Record>, ProgramError> {
         match self {
-            Self::Last(_) => candidates(&records()?, hash, file),
+            Self::Last(_) => last(&history::folder().map_err(unreadable)?, hash, file),
             Self::Job(record) if record.entry.path_hash != hash => Err(other_path(file, record, hash)),
             Self::Job(record) if record.entry.completed => Err(complete(&record.name())),
             Self::Job(record) => Ok(vec![Record::clone(record)]),
@@ -131,10 +131,38 @@ impl Resumption {
     }
 }
 
+fn unreadable(cause: io::Error) -> ProgramError {
+    ProgramError::failed("the log of jobs cannot be read", cause)
+}
+
 fn records() -> Result<Vec<Record>, ProgramError> {
     history::folder()
         .and_then(|folder| history::list(&folder))
-        .map_err(|cause| ProgramError::failed("the log of jobs cannot be read", cause))
+        .map_err(unreadable)
+}
+
+/// The jobs of this path in a log, of which the first is the one to resume unless the firmware holds another one.
+///
+/// # Errors
+/// There is none, or one behind it is damaged: nobody knows what that one has drawn, and on which sheet.
+pub(super) fn last(folder: &Path, hash: &str, file: &Path) -> Result<Vec<Record>, ProgramError> {
+    let records = history::list(folder).map_err(unreadable)?;
+    let damaged = history::newest_damaged(folder, hash).map_err(unreadable)?;
+    let found = candidates(&records, hash, file);
+    let is_older = |name: &String| {
+        let newest = found.as_ref().ok().and_then(|found| found.first());
+        newest.is_some_and(|record| record.name() > *name)
+    };
+    match damaged.filter(|name| !is_older(name)) {
+        None => found,
+        Some(name) => {
+            let text = format!(
+                "the entry {name} of this drawing in the log of jobs is damaged: it does not tell how far the drawing came; \
+                 draw it from the beginning without --resume, or name another job (etherpen jobs lists them)"
+            );
+            Err(ProgramError::new(code::INPUT, text))
+        }
+    }
 }
 
 /// The logged job with this name, or the only one whose name starts with it.

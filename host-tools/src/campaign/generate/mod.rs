@@ -1,9 +1,10 @@
-//! Makes episodes from seeds: `setup` chooses the machine, `orders` what the operator wants, `seldom` what hardly ever
-//! happens by itself.
+//! Makes episodes from seeds: `setup` chooses the machine, `mechanism` its dimensions, gears and encoders, `orders` what the
+//! operator wants, `seldom` what hardly ever happens by itself.
 //!
 //! A seed and a profile always give the same episode. Lengths, speeds and times are spread over scales, not over ranges,
 //! so that small values are as likely as large ones.
 
+mod mechanism;
 mod orders;
 mod seldom;
 mod setup;
@@ -77,6 +78,7 @@ pub fn episode(machine: &Machine, seed: u64, profile: Profile) -> Episode {
         events: Vec::new(),
     };
     setup::vary(&mut episode, machine, seed, &mut chance);
+    mechanism::vary(&mut episode, seed);
     seldom::handle(&mut episode, seed);
     match profile {
         Profile::Terminals if machine.chain.terminals.is_empty() => setup::with_terminals(&mut episode, machine),

@@ -1,9 +1,16 @@
 use super::*;
 use crate::campaign::machine::DEFAULT_MACHINE;
 use crate::cell::SlaveKind;
+use crate::settings::checking;
 use crate::settings::machines::MACHINES;
-use etherpen::config::PenLiftKind;
+use etherpen::config::{Config, PenLiftKind};
 use etherpen::ethercat::cyclic::ExchangeKind;
+use etherpen::motion::WorkArea;
+use std::collections::BTreeSet;
+use std::f64::consts::TAU;
+
+/// Seeds whose configurations are looked at.
+const SEEDS: u64 = 200;
 
 fn machine(name: &str) -> Machine {
     Machine::load(name).expect("a bundled machine")
@@ -54,6 +61,72 @@ fn both_kinds_of_exchange_are_tried_on_every_machine() {
         });
         let combined = combined.count();
         assert!((10..50).contains(&combined), "{}: {combined} of 100", machine.name);
+    }
+}
+
+/// The configurations of the first seeds of a machine without faults.
+fn configurations(machine: &Machine) -> impl Iterator<Item = Config> {
+    (0..SEEDS).map(|seed| {
+        let config = episode(machine, seed, Profile::Quiet).configuration();
+        config.expect("a valid configuration")
+    })
+}
+
+#[test]
+fn robots_of_other_dimensions_reach_their_sheet_on_every_machine() {
+    for machine in MACHINES.map(|machine| self::machine(machine.name)) {
+        let usual = machine.config.geometry;
+        let [mut others, mut unlike] = [0; 2];
+        for config in configurations(&machine).filter(|config| config.geometry != usual) {
+            others += 1;
+            let area = WorkArea::new(&config.motion_settings()).expect("a robot");
+            assert_eq!(checking::unreached(&config, &area), None, "{}", machine.name);
+            let reaches = [config.geometry, usual].map(|geometry| geometry.reach_mm());
+            unlike += u32::from((reaches[0] / reaches[1] - 1.0).abs() > 0.02);
+        }
+        assert!(
+            others >= 30,
+            "{}: {others} of {SEEDS} have other dimensions",
+            machine.name
+        );
+        assert!(unlike >= 3, "{}: {unlike} of {others} differ by much", machine.name);
+    }
+}
+
+#[test]
+fn gears_turn_either_way_and_encoders_have_any_resolution_and_mark() {
+    for machine in MACHINES.map(|machine| self::machine(machine.name)) {
+        let (mut ratios, mut resolutions) = (BTreeSet::new(), BTreeSet::new());
+        let [mut backwards, mut marked] = [0; 2];
+        for config in configurations(&machine) {
+            let used = config.axes.iter().zip(&machine.config.axes).take(machine.axes());
+            for (axis, usual) in used {
+                ratios.insert(((axis.gear / usual.gear).abs() * 4.0) as u32);
+                resolutions.insert(axis.increments_per_revolution);
+                backwards += u32::from(axis.gear < 0.0);
+                marked += u32::from(axis.sync_increments > 0);
+                let rpm = axis.output_max_rad_s * axis.gear.abs() * 60.0 / TAU;
+                assert!(rpm < 6_010.0 || axis.gear.abs() == usual.gear.abs(), "{rpm} rpm");
+            }
+        }
+        let name = &machine.name;
+        assert!(
+            ratios.len() >= 4 && resolutions.len() >= 8,
+            "{name}: {ratios:?} {resolutions:?}"
+        );
+        assert!(backwards >= 20 && marked >= 50, "{name}: {backwards} and {marked}");
+    }
+}
+
+#[test]
+fn ethercat_travels_in_udp_near_and_behind_a_gateway_on_every_machine() {
+    for machine in MACHINES.map(|machine| self::machine(machine.name)) {
+        let networks: Vec<_> = configurations(&machine)
+            .filter_map(|config| config.bus.network())
+            .collect();
+        let far = networks.iter().filter(|network| network.gateway.is_some()).count();
+        let near = networks.len() - far;
+        assert!(near >= 8 && far >= 8, "{}: {near} near, {far} far", machine.name);
     }
 }
 
@@ -124,7 +197,7 @@ fn terminals_are_behind_the_drives_so_that_the_numbers_of_slaves_are_those_of_th
 #[test]
 fn every_kind_of_event_and_wish_occurs() {
     let machine = machine(DEFAULT_MACHINE);
-    let mut seen = std::collections::BTreeSet::new();
+    let mut seen = BTreeSet::new();
     for seed in 0..400 {
         let episode = episode(&machine, seed, Profile::All);
         for event in &episode.events {
