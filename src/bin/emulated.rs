@@ -19,6 +19,7 @@ mod emulated {
     pub(crate) mod lan9118;
     pub(crate) mod lockstep;
     pub(crate) mod log;
+    mod memory;
     mod panic;
     #[cfg(feature = "primask")]
     mod primask;
@@ -42,7 +43,7 @@ mod app {
     use crate::emulated::disturb;
     use crate::emulated::health::{FRAMES_FAILED, Health, PERIODS_MISSED};
     use crate::emulated::lan9118::{Mmio, free_run};
-    use crate::emulated::lockstep::{self, Bus};
+    use crate::emulated::lockstep::{self, Bus, around};
     use crate::emulated::log::{self, Drain};
     use crate::emulated::serial::{Route, Serial};
     use crate::emulated::timer::Clock;
@@ -164,7 +165,7 @@ mod app {
         binds = TIMER0,
         priority = 15,
         shared = [frame_port, sampler, watch, &measurements],
-        local = [emergency_stop: EmergencyStopInput = EmergencyStopInput::new()]
+        local = [emergency_stop: EmergencyStopInput = EmergencyStopInput::new(), trajectory_owed: bool = false]
     )]
     fn sample(context: sample::Context) {
         let began_at = free_run();
@@ -183,15 +184,21 @@ mod app {
         let stopped = context
             .local
             .emergency_stop
-            .step(met & disturbance::EMERGENCY_STOP != 0);
-        sampler.set_interlock(Interlock::of(stopped, met & disturbance::CLOCK != 0));
+            .step(met & disturbance::EMERGENCY_STOP != 0 || around::is(around::STOP_OPEN));
+        let is_substitute = met & disturbance::CLOCK != 0 || around::is(around::SUBSTITUTE_CLOCK);
+        sampler.set_interlock(Interlock::of(stopped, is_substitute));
         let fed = board::may_feed(overruns::TRAJECTORIES_DUE.load(Ordering::Relaxed));
         let is_due = sampler.sample(frame_port, elapsed_ns, missed);
         if fed {
             frame_port.driver_mut().clock.watchdog.feed(began_at);
         }
+        let owed = context.local.trajectory_owed;
         if is_due {
             overruns::trajectory_released();
+            *owed = true;
+        }
+        if *owed && !around::is(around::TRAJECTORY_WAITS) {
+            *owed = false;
             rtic::pend(Interrupt::FREE15);
         }
         if frame_port.driver_mut().clock.begins_millisecond() {
@@ -383,7 +390,10 @@ mod app {
     fn link(context: link::Context) {
         let link = context.local.link;
         link.set_board(BoardState {
-            port: PortState::Unknown,
+            port: match around::is(around::PORT_DOWN) {
+                true => PortState::Down,
+                false => PortState::Unknown,
+            },
             ethernet_errors: FRAMES_FAILED.load(Ordering::Relaxed),
         });
         link.tick();

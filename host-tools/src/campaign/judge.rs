@@ -404,6 +404,11 @@ impl Judge {
         axes.any(|(unsure, disturbances)| *unsure && disturbances == 0)
     }
 
+    /// Whether nothing keeps the positions of all axes from being true and reported.
+    pub(super) fn shows_positions(&self) -> bool {
+        self.disturbances == 0 && self.untrue.iter().all(|disturbances| *disturbances == 0)
+    }
+
     /// The machine is disturbed for some milliseconds, or until it is healed.
     pub(super) fn disturbed(&mut self, now_ms: u32, lasts_ms: Option<u64>) {
         self.disturbances += 1;

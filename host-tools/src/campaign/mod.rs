@@ -28,12 +28,13 @@ mod shrink;
 #[cfg(test)]
 mod soak;
 mod trouble;
+mod witness;
 mod world;
 
 use crate::cell::{Cell, CellOptions, ClockOptions};
 use crate::emulator::Later;
 use crate::simulation;
-pub use emulated::{for_the_image, run_image};
+pub use emulated::run_image;
 use episode::Episode;
 use etherpen::config::Config;
 use generate::Profile;
@@ -62,6 +63,8 @@ pub enum Rule {
     Power,
     /// The black box does not replay to what was recorded.
     Replay,
+    /// The black box cannot be read, has gaps, or is not what was seen from outside.
+    BlackBox,
     /// The firmware or the cell panicked.
     Panic,
     /// The episode cannot be run.
@@ -154,24 +157,29 @@ pub fn run(episode: &Episode) -> Run {
             Err(failed) => return failed,
         };
         let mut operator = Operator::new(episode, config, world.clone());
-        let passed_ms = with_resets(&mut operator, |operator, begun_ms, left_ms| {
+        let passed_ms = with_resets(LIMIT_MS, &mut operator, |operator, begun_ms, left_ms| {
             let mut segment = begun_later(&world, begun_ms);
             (simulation::run(&mut segment, operator, left_ms), ())
         });
         Run {
             passed_ms: passed_ms.0,
             resets: operator.resets(),
-            failure: operator.into_failure(),
+            failure: operator.failure(),
         }
     })
 }
 
-/// Runs the firmware from each start of the board to its next reset, or to the episode's end: `start` gets when it begins and
-/// what time is left, ms, and returns how long it ran. Returns the whole time, ms, and what the last run returned.
-fn with_resets<R>(operator: &mut Operator, mut start: impl FnMut(&mut Operator, u32, u32) -> (u32, R)) -> (u32, R) {
+/// Runs the firmware from each start of the board to its next reset, or to the episode's end, `limit_ms` at most: `start` gets
+/// when it begins and what time is left, ms, and returns how long it ran. Returns the whole time, ms, and what the last run
+/// returned.
+fn with_resets<R>(
+    limit_ms: u32,
+    operator: &mut Operator,
+    mut start: impl FnMut(&mut Operator, u32, u32) -> (u32, R),
+) -> (u32, R) {
     let mut begun_ms = 0;
     loop {
-        let (ran_ms, result) = start(operator, begun_ms, LIMIT_MS.saturating_sub(begun_ms));
+        let (ran_ms, result) = start(operator, begun_ms, limit_ms.saturating_sub(begun_ms));
         let passed_ms = begun_ms + ran_ms;
         if !operator.presses_reset() {
             return (passed_ms, result);

@@ -162,7 +162,7 @@ fn soak(seed: u64, hours: f64) -> Vec<u64> {
         !watched.operator.presses_reset(),
         "seed {seed}: nothing but a reset helps"
     );
-    let failure = watched.operator.into_failure();
+    let failure = watched.operator.failure();
     assert_eq!(failure, None, "seed {seed}, {passed_ms} of {duration_ms} ms");
     assert!(
         f64::from(portraits) >= (hours * PORTRAITS_PER_HOUR_MIN).floor(),

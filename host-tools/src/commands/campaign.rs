@@ -37,8 +37,8 @@ pub struct Arguments {
     /// Make each failing episode smaller and write it into this folder as a test case.
     #[arg(long, value_name = "DIR", conflicts_with = "emulated")]
     cases: Option<PathBuf>,
-    /// Run the emulated board's image in QEMU instead of the firmware's tasks in this program, without faults of the
-    /// board's inputs; about twice real time for each job.
+    /// Run the emulated board's image in QEMU instead of the firmware's tasks in this program; about twice real time for each
+    /// job.
     #[arg(long)]
     emulated: bool,
     /// Print the result as JSON on stdout.
@@ -155,9 +155,7 @@ fn runner(arguments: &Arguments) -> Result<Runner, ProgramError> {
     }
     setup::ensure_qemu()?;
     let image = setup::build_firmware("emulated")?;
-    Ok(Box::new(move |episode| {
-        campaign::run_image(&image, &campaign::for_the_image(episode))
-    }))
+    Ok(Box::new(move |episode| campaign::run_image(&image, episode)))
 }
 
 fn of_seeds(arguments: &Arguments) -> Result<Outcome, ProgramError> {

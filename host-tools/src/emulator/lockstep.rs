@@ -3,7 +3,7 @@
 use super::error::EmulatorError;
 use super::log::{Decoder, LogLine};
 use super::process::{Directory, Process};
-use super::{LINK_BYTES_MAX, Link, Pace, Segment, Traffic};
+use super::{Area, Around, LINK_BYTES_MAX, Link, Pace, Segment, Traffic};
 use defmt_decoder::Table;
 use rustix::event::{PollFd, PollFlags, Timespec, poll};
 use std::fs::File;
@@ -24,11 +24,15 @@ const FRAME_BYTES_MAX: usize = 2048;
 const BUS_RECORD_BYTES: usize = 8;
 const LINK_HEADER_BYTES: usize = 5;
 /// Most replies to one frame that fit the controller's receive FIFO, whatever their length.
-const REPLIES_MAX: u8 = 6;
+pub(crate) const REPLIES_MAX: u8 = 6;
 /// Frame lengths that the emulated controller accepts, bytes.
-const REPLY_BYTES: RangeInclusive<usize> = 14..=1514;
+pub(crate) const REPLY_BYTES: RangeInclusive<usize> = 14..=1514;
 
-const _: () = assert!(LINK_BYTES_MAX <= u8::MAX as usize);
+/// First bytes of what comes before the link's record: a request for memory, and conditions of the board.
+const MEMORY: u8 = 0xFF;
+const AROUND: u8 = 0xFE;
+
+const _: () = assert!(LINK_BYTES_MAX < AROUND as usize);
 
 /// The FIFOs of the lockstep.
 pub(super) struct Files {
@@ -78,7 +82,7 @@ impl Incoming {
 
     /// Reads the available bytes; returns false if there are none.
     pub(super) fn read(&mut self) -> io::Result<bool> {
-        let mut bytes = [0; 4096];
+        let mut bytes = [0; 16_384];
         match self.file.read(&mut bytes) {
             Ok(length) => {
                 self.bytes.extend_from_slice(bytes.get(..length).unwrap_or_default());
@@ -119,6 +123,8 @@ pub(super) struct Lockstep<S, L> {
     traffic: Traffic,
     /// The latest time passed to the segment, us.
     time_us: u64,
+    /// The conditions that the firmware was told last.
+    around: Around,
     started: Instant,
     answered: Instant,
 }
@@ -143,6 +149,7 @@ impl<S: Segment, L: Link> Lockstep<S, L> {
             stop,
             traffic: Traffic::default(),
             time_us: 0,
+            around: Around::default(),
             started: Instant::now(),
             answered: Instant::now(),
         }
@@ -232,12 +239,24 @@ impl<S: Segment, L: Link> Lockstep<S, L> {
             self.time_us = time_us;
             self.segment.advance_to(time_us);
         }
-        let mut to_device = vec![0];
         let from_device = record.get(LINK_HEADER_BYTES..).unwrap_or_default();
         let mut bytes = Vec::with_capacity(LINK_BYTES_MAX);
         self.link.exchange(ms, from_device, &mut bytes);
         bytes.truncate(LINK_BYTES_MAX);
-        to_device[0] = bytes.len() as u8;
+        while let Some(area) = self.link.wants() {
+            let Some(memory) = self.read_memory(area)? else {
+                // The emulator has ended, which its owner tells, or is to end.
+                return Ok(false);
+            };
+            self.link.take_memory(area, memory);
+        }
+        let mut to_device = Vec::with_capacity(LINK_BYTES_MAX + 3);
+        let around = self.link.around();
+        if around != self.around {
+            self.around = around;
+            to_device.extend([AROUND, around.bits()]);
+        }
+        to_device.push(bytes.len() as u8);
         to_device.extend_from_slice(&bytes);
         self.keep_pace(ms);
         self.files
@@ -245,6 +264,30 @@ impl<S: Segment, L: Link> Lockstep<S, L> {
             .write_all(&to_device)
             .map_err(failed("answering"))?;
         Ok(true)
+    }
+
+    /// Reads an area of the firmware's memory, while the firmware waits for its record; `None` if the emulator ends, or does not
+    /// answer in time.
+    fn read_memory(&mut self, area: Area) -> Result<Option<Vec<u8>>, EmulatorError> {
+        self.files
+            .link_down
+            .write_all(&[MEMORY, area.number()])
+            .map_err(failed("asking"))?;
+        let asked = Instant::now();
+        loop {
+            if let Some(memory) = self.files.link_up.record(area.bytes()) {
+                return Ok(Some(memory));
+            }
+            // A critical task may interrupt the firmware between two pieces, and wait for its frame's replies.
+            let bus = self.answer_bus().map_err(failed("answering"))?;
+            if !self.files.link_up.read().map_err(failed("reading the memory of"))? && !bus {
+                let is_late = asked.elapsed() > self.options.answer_within;
+                if is_late || self.process.ended().is_some() {
+                    return Ok(None);
+                }
+                self.files.wait().map_err(failed("waiting for"))?;
+            }
+        }
     }
 
     fn keep_pace(&self, ms: u32) {

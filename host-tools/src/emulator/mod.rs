@@ -17,8 +17,10 @@ pub mod tcp_line;
 
 pub(crate) use client::ClientSlot;
 pub use error::EmulatorError;
+pub(crate) use lockstep::{REPLIES_MAX, REPLY_BYTES};
 pub use log::LogLine;
 
+use etherpen::black_box::MEMORY_BYTES;
 use lockstep::{Lockstep, Options as LockstepOptions};
 use process::{Directory, Process};
 use std::ffi::OsString;
@@ -54,6 +56,72 @@ pub trait Segment {
 pub trait Link {
     /// Takes the bytes that came in millisecond `ms` and appends up to [`LINK_BYTES_MAX`] for the firmware to `to_device`.
     fn exchange(&mut self, ms: u32, from_device: &[u8], to_device: &mut Vec<u8>);
+
+    /// The next area of the firmware's memory to be read, before the firmware takes the bytes of this millisecond; asked after
+    /// each [`Self::exchange`] until there is none. Reading takes no virtual time.
+    fn wants(&mut self) -> Option<Area> {
+        None
+    }
+
+    /// Takes an area of the firmware's memory that [`Self::wants`] has named.
+    fn take_memory(&mut self, _area: Area, _bytes: Vec<u8>) {}
+
+    /// Conditions of the board from this millisecond on; asked after each [`Self::exchange`].
+    fn around(&mut self) -> Around {
+        Around::default()
+    }
+}
+
+/// An area of the firmware's memory.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Area {
+    /// The black box.
+    BlackBox,
+}
+
+impl Area {
+    /// Length, bytes.
+    #[must_use]
+    pub const fn bytes(self) -> usize {
+        match self {
+            Self::BlackBox => MEMORY_BYTES,
+        }
+    }
+
+    /// Its number in the lockstep.
+    const fn number(self) -> u8 {
+        match self {
+            Self::BlackBox => 0,
+        }
+    }
+}
+
+/// Conditions of the board that the host controls: what its inputs, its clock and its port show.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Around {
+    /// The emergency-stop input shows open.
+    pub stop_shows_open: bool,
+    /// The board runs on its substitute clock.
+    pub substitute_clock: bool,
+    /// The trajectory task is not released. One that is kept waiting for longer than 96 ms starves the watchdog.
+    pub trajectory_waits: bool,
+    /// The Ethernet port has no link.
+    pub port_is_down: bool,
+}
+
+impl Around {
+    /// Its bits in the lockstep.
+    fn bits(self) -> u8 {
+        let conditions = [
+            self.stop_shows_open,
+            self.substitute_clock,
+            self.trajectory_waits,
+            self.port_is_down,
+        ];
+        (0..)
+            .zip(conditions)
+            .fold(0, |bits, (bit, holds)| bits | u8::from(holds) << bit)
+    }
 }
 
 impl<S: Segment> Segment for Arc<Mutex<S>> {
@@ -99,6 +167,19 @@ impl<L: Link> Link for Arc<Mutex<L>> {
     fn exchange(&mut self, ms: u32, from_device: &[u8], to_device: &mut Vec<u8>) {
         let mut link = self.lock().unwrap_or_else(PoisonError::into_inner);
         link.exchange(ms, from_device, to_device);
+    }
+
+    fn wants(&mut self) -> Option<Area> {
+        self.lock().unwrap_or_else(PoisonError::into_inner).wants()
+    }
+
+    fn take_memory(&mut self, area: Area, bytes: Vec<u8>) {
+        let mut link = self.lock().unwrap_or_else(PoisonError::into_inner);
+        link.take_memory(area, bytes);
+    }
+
+    fn around(&mut self) -> Around {
+        self.lock().unwrap_or_else(PoisonError::into_inner).around()
     }
 }
 

@@ -12,16 +12,53 @@
 //! | `link.up` | to the host | u32 ms, u8 n, n bytes |
 //! | `link.down` | to the firmware | u8 n, n bytes |
 //!
-//! Numbers are little endian, n is at most [`LINK_BYTES_MAX`].
+//! Numbers are little endian, n is at most [`LINK_BYTES_MAX`]. In `link.down` two other first bytes come before the record,
+//! each with one byte more:
+//!
+//! | first byte | second byte | meaning |
+//! |---|---|---|
+//! | [`MEMORY`] | area | the firmware writes an area of its memory into `link.up` (see `memory`) and reads `link.down` again |
+//! | [`AROUND`] | bits of [`around`] | conditions of the board from now on; the record follows at once |
 
+use super::memory;
 use super::semihosting::{self, Closed, EXIT_HOST_GONE, File};
 
 /// Bytes of the serial link in a millisecond and direction: 921,600 baud with 10 bits a byte.
 pub(crate) const LINK_BYTES_MAX: usize = 92;
 
 const LINK_UP_HEADER_BYTES: usize = 5;
+/// First bytes of what is no record.
+const MEMORY: u8 = 0xFF;
+const AROUND: u8 = 0xFE;
+/// Bytes of what comes before a record.
+const PREFIX_BYTES: usize = 2;
 
-const _: () = assert!(LINK_BYTES_MAX <= u8::MAX as usize);
+const _: () = assert!(LINK_BYTES_MAX < AROUND as usize);
+
+/// Conditions of the board that the host controls, as the board's inputs would show them.
+pub(crate) mod around {
+    use core::sync::atomic::{AtomicU8, Ordering};
+
+    /// The emergency-stop input shows open.
+    pub(crate) const STOP_OPEN: u8 = 1 << 0;
+    /// The board runs on its substitute clock.
+    pub(crate) const SUBSTITUTE_CLOCK: u8 = 1 << 1;
+    /// The trajectory task is not released.
+    pub(crate) const TRAJECTORY_WAITS: u8 = 1 << 2;
+    /// The Ethernet port has no link.
+    pub(crate) const PORT_DOWN: u8 = 1 << 3;
+
+    static BITS: AtomicU8 = AtomicU8::new(0);
+
+    /// Whether a condition holds.
+    pub(crate) fn is(bit: u8) -> bool {
+        BITS.load(Ordering::Relaxed) & bit != 0
+    }
+
+    pub(super) fn set(bits: u8) {
+        BITS.store(bits, Ordering::Relaxed);
+    }
+}
 
 /// The token exchange of the Ethernet frames.
 #[derive(Clone, Copy)]
@@ -35,7 +72,7 @@ pub(crate) struct Link {
     up: File,
     down: File,
     sent: [u8; LINK_UP_HEADER_BYTES + LINK_BYTES_MAX],
-    received: [u8; 1 + LINK_BYTES_MAX],
+    received: [u8; PREFIX_BYTES + 1 + LINK_BYTES_MAX],
 }
 
 /// Opens the files of the lockstep; `None` if the host wants the firmware to run free.
@@ -45,7 +82,7 @@ pub(crate) fn open() -> Option<(Bus, Link)> {
         up: File::open_to_write(c"link.up")?,
         down,
         sent: [0; LINK_UP_HEADER_BYTES + LINK_BYTES_MAX],
-        received: [0; 1 + LINK_BYTES_MAX],
+        received: [0; PREFIX_BYTES + 1 + LINK_BYTES_MAX],
     };
     let bus = Bus {
         up: File::open_to_write(c"bus.up")?,
@@ -73,12 +110,31 @@ impl Link {
         header[..4].copy_from_slice(&ms.to_le_bytes());
         header[4] = length as u8;
         or_end(self.up.write(&self.sent[..LINK_UP_HEADER_BYTES + length]));
-        let mut have = or_end(self.down.read(&mut self.received));
-        let want = 1 + usize::from(self.received[0]).min(LINK_BYTES_MAX);
-        while have < want {
-            have += or_end(self.down.read(&mut self.received[have..want]));
+        loop {
+            let mut have = or_end(self.down.read(&mut self.received));
+            let is_prefixed = self.received[0] >= AROUND;
+            while is_prefixed && have < PREFIX_BYTES {
+                have += or_end(self.down.read(&mut self.received[have..PREFIX_BYTES]));
+            }
+            match self.received[0] {
+                // The host says nothing else until it has the memory.
+                MEMORY => {
+                    or_end(memory::send(self.up, self.received[1]));
+                    continue;
+                }
+                AROUND => around::set(self.received[1]),
+                _ => {}
+            }
+            let first = if is_prefixed { PREFIX_BYTES } else { 0 };
+            while have <= first {
+                have += or_end(self.down.read(&mut self.received[have..=first]));
+            }
+            let want = first + 1 + usize::from(self.received[first]).min(LINK_BYTES_MAX);
+            while have < want {
+                have += or_end(self.down.read(&mut self.received[have..want]));
+            }
+            return &self.received[first + 1..want];
         }
-        &self.received[1..want]
     }
 }
 

@@ -61,6 +61,17 @@ impl File {
         if missing == 0 { Ok(()) } else { Err(Closed) }
     }
 
+    /// Writes `length` bytes of memory from an address on.
+    ///
+    /// # Safety
+    /// All of them are memory that can be read. The host reads them; no reference to them is made.
+    pub(crate) unsafe fn write_memory(self, address: usize, length: usize) -> Result<(), Closed> {
+        let block = [self.handle, address as u32, length as u32];
+        // SAFETY: the block names memory that the caller answers for and that the host only reads.
+        let missing = unsafe { call(SYS_WRITE, block.as_ptr() as u32) };
+        if missing == 0 { Ok(()) } else { Err(Closed) }
+    }
+
     /// Reads the available bytes, at least one, waiting for it; returns how many.
     pub(crate) fn read(self, bytes: &mut [u8]) -> Result<usize, Closed> {
         let length = bytes.len();

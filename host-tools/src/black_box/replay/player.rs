@@ -18,6 +18,8 @@ use etherpen::robots::{AXES, JointAngles};
 /// Setpoints that the sampler looks at, from the present one on. Those behind the last one of a motion that was
 /// interrupted are not recorded, but the controller had them.
 const LOOK_AHEAD: usize = 12;
+/// Time after which the axes are homed at the latest that an event orders to be, ms.
+const ORDER_MS: usize = 3;
 
 /// A replay in progress.
 pub(super) struct Player<'a, 'q> {
@@ -168,6 +170,8 @@ impl<'a, 'q> Player<'a, 'q> {
         // The sampler takes an order in the millisecond after it; what it shows may come later.
         let home = match ends || becomes_homed {
             true => self.events.accepted(recent_ms, EVENT_MS, is_home),
+            // On a board the task that records an event hears of the milliseconds one later than here.
+            false if self.is_homed_soon(index) => None,
             false => self.events.accepted(before.t_ms, 1, is_home),
         };
         match home {
@@ -210,6 +214,13 @@ impl<'a, 'q> Player<'a, 'q> {
                 self.control.configured_again(axis);
             }
         }
+    }
+
+    /// Whether the axes become homed in one of the next milliseconds: the order is taken then.
+    fn is_homed_soon(&self, index: usize) -> bool {
+        let next = self.samples.get(index..).unwrap_or_default();
+        let mut next = next.windows(2).take(ORDER_MS);
+        next.any(|pair| pair[0].homed != [true; AXES] && pair[1].homed == [true; AXES])
     }
 
     fn home(&mut self, near: Option<JointAngles>) {

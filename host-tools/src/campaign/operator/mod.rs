@@ -14,16 +14,18 @@ use super::ink;
 use super::judge::{Interlocks, Judge, ink_limit_mm};
 use super::line::Line;
 use super::machine::Chain;
+use super::witness::Witness;
 use super::world::World;
 use super::{Failure, Rule};
 use crate::black_box;
-use crate::black_box::contents::Contents;
+use crate::black_box::contents::{Contents, EventEntry};
 use crate::black_box::replay::{Replay, replay};
 use crate::cell::Clocks;
 use crate::link::session::{Event as LinkEvent, Session};
 use crate::simulation::{Host, Surroundings};
 use etherpen::application::{Fault as Reason, InputCause, Mode, Refusal};
 use etherpen::black_box::Memory;
+use etherpen::black_box::recording::Origin;
 use etherpen::board::PortState;
 use etherpen::config::{Config, Paper};
 use etherpen::link::frame::Decoder;
@@ -35,6 +37,8 @@ use std::sync::Arc;
 const LIVENESS_MAX_MS: u32 = 60_000;
 /// Longest time from the order to switch off until all drives are without power, ms.
 const OFF_MAX_MS: u32 = 3_000;
+/// Events that a failed replay names: from so much before the difference to as much after it, s.
+const NEAR_S: f64 = 0.01;
 /// First number of commands beside the session, far from its own.
 const FIRST_BESIDE: u16 = 0x8000;
 /// Last byte of each frame of the link.
@@ -206,8 +210,8 @@ impl<'e> Operator<'e> {
     }
 
     /// What the episode has found.
-    pub(super) fn into_failure(self) -> Option<Failure> {
-        self.failure
+    pub(super) fn failure(&self) -> Option<Failure> {
+        self.failure.clone()
     }
 
     /// The drawing that was reported last as executed to its end.
@@ -321,20 +325,58 @@ impl<'e> Operator<'e> {
         (3_000.0 * mm / slowest_mm_s + strokes_ms) as u32
     }
 
+    /// Whether the black box is to be looked at now: at the first fault, and at the end.
+    pub(super) fn wants_black_box(&mut self) -> bool {
+        let has_fault = self.status.as_ref().is_some_and(|status| status.fault.is_some());
+        self.stage == Stage::Over || (has_fault && !std::mem::replace(&mut self.has_replayed, true))
+    }
+
     /// Replays the last two seconds: the black box has to hold what led to each result.
-    fn replay(&mut self, black_box: &Memory) {
-        let contents = match Contents::of(&black_box::image(black_box)) {
-            Ok(contents) => contents,
-            Err(why) => return self.fail(Rule::Replay, format!("{why:?}")),
-        };
+    fn replay(&self, contents: &Contents) -> Result<(), (Rule, String)> {
         // There may be too little to replay.
-        if let Ok(Replay {
-            difference: Some(difference),
-            ..
-        }) = replay(&contents, &self.config)
-        {
-            let text = format!("{:.0} ms ago, {}", difference.before_end_s * 1e3, difference.what);
-            self.fail(Rule::Replay, text);
+        match replay(contents, &self.config) {
+            Ok(Replay {
+                difference: Some(difference),
+                ..
+            }) => {
+                let near = |entry: &&EventEntry| (entry.before_end_s - difference.before_end_s).abs() < NEAR_S;
+                let events: Vec<String> = (contents.events.iter().filter(near))
+                    .map(|entry| format!("{:.0} ms ago {}", entry.before_end_s * 1e3, entry.text))
+                    .collect();
+                let what = &difference.what;
+                let text = format!(
+                    "{:.0} ms ago, {what}; events: {events:?}",
+                    difference.before_end_s * 1e3
+                );
+                Err((Rule::Replay, text))
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Tells a witness what is true and reported in a millisecond of the board.
+    pub(super) fn testifies(&self, witness: &Witness, ms: u32) {
+        let angles_rad = self.judge.shows_positions().then(|| self.world.truth().angles_rad);
+        let reported = self.status.as_ref().map(|status| (status.mode, status.fault));
+        witness.moment(ms, angles_rad, reported);
+    }
+
+    /// Looks whether a black box holds what the witness has seen, and replays it.
+    ///
+    /// # Errors
+    /// The rule that is broken, and how.
+    pub(super) fn examine(&self, memory: &[u8], witness: &Witness, origin: Origin) -> Result<(), (Rule, String)> {
+        let contents = Contents::of(memory).map_err(|why| (Rule::BlackBox, format!("{why:?}")))?;
+        witness
+            .check(&contents, origin, self.config.bus.drives.into())
+            .map_err(|text| (Rule::BlackBox, text))?;
+        self.replay(&contents)
+    }
+
+    /// Judges the black box of the present run.
+    pub(super) fn judges_black_box(&mut self, memory: &[u8], witness: &Witness) {
+        if let Err((rule, text)) = self.examine(memory, witness, Origin::Present) {
+            self.fail(rule, text);
         }
     }
 
@@ -459,9 +501,14 @@ impl Host for Operator<'_> {
     }
 
     fn recorded(&mut self, black_box: &Memory) {
-        let has_fault = self.status.as_ref().is_some_and(|status| status.fault.is_some());
-        if self.stage == Stage::Over || (has_fault && !std::mem::replace(&mut self.has_replayed, true)) {
-            self.replay(black_box);
+        if !self.wants_black_box() {
+            return;
+        }
+        let replayed = Contents::of(&black_box::image(black_box))
+            .map_err(|why| (Rule::Replay, format!("{why:?}")))
+            .and_then(|contents| self.replay(&contents));
+        if let Err((rule, text)) = replayed {
+            self.fail(rule, text);
         }
     }
 
