@@ -3,6 +3,7 @@
 //! A bound that depends on another value expresses a relation between the two. A refusal names the value by its row.
 
 use super::pen_lift::PEN_BOUNDS;
+use super::tool::TOOL_BOUNDS;
 use super::{Axis, Bus, Config, PenLiftKind, Transport};
 use crate::robot_bus::BUS_SLAVES_MAX;
 use crate::robots::{AXES, Kind, MAIN_AXES};
@@ -65,6 +66,9 @@ const QUICK_STOP_HIGHEST_RAD_S2: f64 = 2000.0;
 
 /// Rows of the bus in the table of bounds.
 const BUS_BOUNDS: usize = 12;
+
+/// Rows of the values that do not belong to an axis.
+const SCALAR_BOUNDS: usize = Settings::BOUNDS + PEN_BOUNDS + TOOL_BOUNDS + BUS_BOUNDS;
 
 /// Rows of an axis in the table of bounds.
 const AXIS_BOUNDS: usize = 34;
@@ -216,12 +220,14 @@ impl Axis {
 impl Config {
     /// Hard bounds of every value that does not belong to an axis. A bound that depends on another value expresses a
     /// relation.
-    fn scalars(&self) -> [Bound; Settings::BOUNDS + PEN_BOUNDS + BUS_BOUNDS] {
-        let mut rows = [bound("", 0.0, 0.0, 0.0); Settings::BOUNDS + PEN_BOUNDS + BUS_BOUNDS];
+    fn scalars(&self) -> [Bound; SCALAR_BOUNDS] {
+        let mut rows = [bound("", 0.0, 0.0, 0.0); SCALAR_BOUNDS];
         let (motion, others) = rows.split_at_mut(Settings::BOUNDS);
-        let (pen, bus) = others.split_at_mut(PEN_BOUNDS);
+        let (pen, others) = others.split_at_mut(PEN_BOUNDS);
+        let (tool, bus) = others.split_at_mut(TOOL_BOUNDS);
         motion.copy_from_slice(&self.motion_settings().bounds());
         pen.copy_from_slice(&self.pen.bounds(&self.paper));
+        tool.copy_from_slice(&self.tool.bounds());
         bus.copy_from_slice(&self.bus.bounds(self.drives_min()));
         rows
     }

@@ -91,6 +91,16 @@ impl IoType {
         }
     }
 
+    /// Greatest value, at most 65535.
+    pub const fn most(self) -> u16 {
+        let (_, greatest) = self.range();
+        if greatest < u16::MAX as i64 {
+            greatest as u16
+        } else {
+            u16::MAX
+        }
+    }
+
     /// The value of its bits, in the lowest bits of `raw`.
     pub const fn value(self, raw: u32) -> i64 {
         match self {
@@ -141,18 +151,24 @@ pub enum IoRole {
     /// Output that lowers the pen: on from the start of lowering to the start of lifting, off at every stop; a word has the
     /// positions of a servo instead. A terminal that fails is a fault.
     Pen,
+    /// Output of a laser or a dispenser, which follows the path: [`Tool`](super::Tool). 0 outside strokes and at every stop. A
+    /// terminal that fails is a fault.
+    Tool,
 }
 
 impl IoRole {
-    /// Whether the drives need this point to have power: of a limit switch only that it arrives, of the pen's output that
-    /// its terminal confirms it.
+    /// Whether the drives need this point to have power: of a limit switch only that it arrives, of the pen's and the tool's
+    /// output that its terminal confirms it.
     pub const fn stops(self) -> bool {
-        matches!(self, Self::EmergencyStop | Self::Door | Self::Limit | Self::Pen)
+        matches!(
+            self,
+            Self::EmergencyStop | Self::Door | Self::Limit | Self::Pen | Self::Tool
+        )
     }
 
     /// Whether the controller sets this output by itself.
     pub const fn is_own(self) -> bool {
-        matches!(self, Self::Lamp | Self::Pen)
+        matches!(self, Self::Lamp | Self::Pen | Self::Tool)
     }
 
     /// Whether the failure of the point's terminal is a fault.
@@ -172,6 +188,7 @@ impl IoRole {
             Self::Home => "home",
             Self::Limit => "limit",
             Self::Pen => "pen",
+            Self::Tool => "tool",
         }
     }
 }
@@ -388,6 +405,27 @@ pub enum IoError {
         /// The axis.
         axis: u8,
     },
+    /// The tool follows the path, and no output has the role `tool`.
+    ToolWithoutOutput,
+    /// An output has the role `tool`, and the tool follows nothing.
+    ToolFollowsNothing {
+        /// The point.
+        io: u8,
+    },
+    /// The values of the tool's output are not in order, or its type does not hold them.
+    ToolRange {
+        /// The point.
+        io: u8,
+        /// Greatest value of its type, at most 65535.
+        most: u16,
+    },
+    /// The tool's pulses come too fast for its output.
+    ToolPitch {
+        /// The point.
+        io: u8,
+        /// Shortest way for a pulse, um.
+        least_um: u32,
+    },
 }
 
 impl IoPoint {
@@ -415,6 +453,8 @@ impl IoPoint {
             IoRole::Lamp => self.direction == IoDirection::Out && self.kind == IoType::Bool,
             // Its type follows from what lowers the pen.
             IoRole::Pen => self.direction == IoDirection::Out,
+            // It is off at every fault.
+            IoRole::Tool => self.direction == IoDirection::Out && self.on_fault == OnFault::Off,
             _ => self.direction == IoDirection::In && self.kind == IoType::Bool,
         };
         match serves {

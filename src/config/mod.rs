@@ -10,6 +10,7 @@ mod bus;
 mod io;
 mod pen_lift;
 mod terminal;
+mod tool;
 
 pub use axis::{Axis, AxisMode, HomeSwitch};
 pub use bounds::{ConfigError, Field, QUICK_STOP_MAX_MS};
@@ -22,6 +23,7 @@ pub use io::{
 pub use terminal::{TERMINALS_MAX, Terminal, Terminals};
 
 pub use pen_lift::{PenLift, PenLiftKind};
+pub use tool::{Tool, ToolFollows};
 
 use crate::ethercat::clock::Settling;
 use crate::ethercat::cyclic::ExchangeKind;
@@ -46,6 +48,8 @@ pub struct Config {
     pub paper: Paper,
     /// How the pen is lowered and lifted.
     pub pen: PenLift,
+    /// The output of a laser or a dispenser.
+    pub tool: Tool,
     /// Limits of motion.
     pub motion: MotionLimits,
     /// The axes: the main axes, then the fourth axis.
@@ -89,6 +93,7 @@ impl Default for Config {
             work_area: WorkVolume::default(),
             paper: Paper::default(),
             pen: PenLift::default(),
+            tool: Tool::default(),
             motion: MotionLimits::default(),
             axes: [main, main, main, fourth],
             bus: Bus::default(),
@@ -99,7 +104,7 @@ impl Default for Config {
 }
 
 /// Longest encoded configuration, bytes.
-pub const CONFIG_BYTES_MAX: usize = 2044;
+pub const CONFIG_BYTES_MAX: usize = 2076;
 
 impl Config {
     /// Settings of motion.
@@ -191,6 +196,7 @@ impl Config {
         }) {
             return Err(IoError::PenPositions { io });
         }
+        self.check_tool()?;
         terminal::check(self)
     }
 
@@ -477,6 +483,15 @@ mod tests {
             down: u16::MAX.into(),
             up: -i32::from(u16::MAX),
         };
+        config.tool = Tool {
+            follows: ToolFollows::Distance,
+            nominal_mm_s: 10_000.0,
+            minimum: u16::MAX,
+            maximum: u16::MAX,
+            pitch_um: u16::MAX,
+            lead_ms: 8,
+            off_at_hold: true,
+        };
         config.bus.settle_difference_ns = 100_000;
         config.bus.host_silence_ms = 10_000;
         while config.bus.name.push('n').is_ok() {}
@@ -498,6 +513,10 @@ mod tests {
                 on_fault: OnFault::Hold,
             };
             assert_eq!(config.io.push(point), Ok(()));
+        }
+        if let Some(point) = config.io.last_mut() {
+            (point.direction, point.kind, point.role) = (IoDirection::Out, IoType::U16, IoRole::Tool);
+            (point.axis, point.on_fault) = (None, OnFault::Off);
         }
         for axis in &mut config.axes {
             axis.increments_per_revolution = 16_777_216;

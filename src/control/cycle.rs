@@ -11,6 +11,7 @@ use crate::board::Interlock;
 use crate::config::{Axis, Bus, SAMPLE_WORDS_MAX};
 use crate::control::io::{IoPlaces, IoReport};
 use crate::control::pen_switch::PenSwitch;
+use crate::control::tool::ToolOutput;
 use crate::ethercat::cyclic::BusCounters;
 use crate::motion::Setpoint;
 use crate::robots::{AXES, JointAngles};
@@ -54,8 +55,10 @@ pub enum SamplerCommand {
     },
     /// Clear the latched fault.
     ClearFault,
-    /// Use these inputs and outputs of terminals, and these heights of the pen.
-    ConfigureIo(IoPlaces, PenSwitch),
+    /// Use these inputs and outputs of terminals, these heights of the pen, and this output of the tool.
+    ConfigureIo(IoPlaces, PenSwitch, ToolOutput),
+    /// Whether the operating mode is one in which the tool may be on.
+    Draws(bool),
     /// Switch off the outputs that do not keep their values at a fault, because of a fault that the critical tasks do not
     /// detect.
     SwitchOutputsOff,

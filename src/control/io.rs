@@ -10,6 +10,7 @@
 use crate::application::{Fault, InputCause};
 use crate::board::Interlock;
 use crate::config::{IO_MAX, IoDirection, IoPoint, IoRole, OnFault, SAMPLE_WORDS_MAX, sampled_words};
+use crate::control::tool::ToolValue;
 use crate::drives::io::IoGroup;
 use crate::ethercat::place::Place;
 use heapless::Vec;
@@ -332,16 +333,16 @@ impl Io {
     }
 
     /// Writes the outputs; with `has_fault`, those that do not keep their values become 0, and the pen is up. `pen` is whether
-    /// the pen is lowered.
+    /// the pen is lowered, `tool` the value of the tool.
     #[inline]
-    pub fn write(&mut self, group: &mut impl IoGroup, has_fault: bool, pen: bool) {
+    pub fn write(&mut self, group: &mut impl IoGroup, has_fault: bool, pen: bool, tool: ToolValue) {
         if !self.points.is_empty() {
-            self.write_points(group, has_fault, pen);
+            self.write_points(group, has_fault, pen, tool);
         }
     }
 
     #[inline(never)]
-    fn write_points(&mut self, group: &mut impl IoGroup, has_fault: bool, pen: bool) {
+    fn write_points(&mut self, group: &mut impl IoGroup, has_fault: bool, pen: bool, tool: ToolValue) {
         let [up, down] = self.pen_words;
         let pen = if pen && !has_fault { down } else { up };
         let points = self.points.iter().zip(&self.places).zip(&mut self.values);
@@ -351,6 +352,8 @@ impl Io {
             }
             if point.role == IoRole::Pen {
                 *value = pen;
+            } else if point.role == IoRole::Tool {
+                *value = if point.bits == 1 { tool.bit } else { tool.word };
             } else if has_fault && !point.is_kept {
                 *value = 0;
             }

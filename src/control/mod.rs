@@ -12,6 +12,7 @@ pub mod robot_axes;
 pub mod sampler;
 pub mod search;
 pub mod supervision;
+pub mod tool;
 pub mod torque_feedback;
 pub mod velocity;
 mod window;

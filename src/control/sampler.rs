@@ -31,6 +31,7 @@ use crate::control::rest::Rest;
 use crate::control::robot_axes::{AxisCommand, Demand, PositionDemand, RobotAxes};
 use crate::control::search::Search;
 use crate::control::supervision::{Observation, Supervision};
+use crate::control::tool::{ToolOutput, ToolValue};
 use crate::control::torque_feedback::Demanded;
 use crate::control::velocity::VelocityController;
 use crate::control::window::Window;
@@ -41,6 +42,7 @@ use crate::ethercat::cyclic::{Arrival, BusCounters, ExchangeKind};
 use crate::ethercat::encapsulation::Encapsulation;
 use crate::ethercat::frame_port::{FramePort, Sending};
 use crate::ethercat::queue;
+use crate::motion::Pen;
 use crate::network::NetworkEnd;
 pub use crate::robot_bus::PERIOD_NS;
 use crate::robot_bus::RobotGroup;
@@ -115,6 +117,7 @@ pub struct Sampler<'a, G = RobotGroup<'a>> {
     interlock: Option<Interlock>,
     io: Io,
     pen: PenSwitch,
+    tool: ToolOutput,
     /// Whether the bus has terminals whose failure is no fault.
     spares_terminals: bool,
     counters: SamplerCounters,
@@ -169,6 +172,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
             interlock: None,
             io: Io::new(),
             pen: PenSwitch::default(),
+            tool: ToolOutput::default(),
             spares_terminals: false,
             counters: SamplerCounters::default(),
         }
@@ -260,7 +264,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         let demand = Demand::Velocity(0.0);
         self.robot
             .write(&mut self.group, &[AxisCommand { target, demand }; AXES]);
-        self.io.write(&mut self.group, true, false);
+        self.io.write(&mut self.group, true, false, self.tool.off());
         let telegram = match self.group.exchange_kind() {
             ExchangeKind::Split => self.group.trigger_output(),
             ExchangeKind::Combined => self.group.trigger_input(),
@@ -293,7 +297,12 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         self.write(following, &output_rad_s);
         let may_lower = following && self.may_lower_pen();
         let pen = self.pen.step(may_lower, &self.now.setpoint);
-        self.io.write(&mut self.group, self.supervision.fault().is_some(), pen);
+        let has_fault = self.supervision.fault().is_some();
+        let tool = match self.tool.is_used() {
+            true => self.tool_value(may_lower && !has_fault),
+            false => ToolValue::default(),
+        };
+        self.io.write(&mut self.group, has_fault, pen, tool);
         let telegram = self.group.trigger_output();
         let sending = match may_send(&self.bus, self.has_path) {
             true => transport.send(telegram),
@@ -317,6 +326,19 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
     fn may_lower_pen(&self) -> bool {
         let is_known = self.search.is_none() && self.now.homed == [true; AXES];
         self.power == Power::On && is_known && !self.path_stop.is_active()
+    }
+
+    /// Values of the tool's outputs, which belong to the motion of the millisecond that begins when they arrive.
+    /// `may_lower` is whether the tool may work at all: the setpoint is followed, and no stop has begun.
+    #[inline(never)]
+    fn tool_value(&mut self, may_lower: bool) -> ToolValue {
+        let is_held = self.tool.is_off_at_hold && self.io.report().hold.is_some();
+        let may_be_on = may_lower && self.tool.draws && !is_held && self.robot.is_in_operation();
+        let ahead = self.tool.ahead(self.bus.exchange);
+        match self.window.get(ahead) {
+            Some(setpoint) if may_be_on && setpoint.pen == Pen::Down => self.tool.step(setpoint.drawing_mm_s),
+            _ => self.tool.off(),
+        }
     }
 
     /// Takes new addresses from the IP stack. Without addresses nothing is sent; the supervisor and the supervision see
@@ -435,11 +457,12 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
                     self.path_stop.end();
                     self.window.clear();
                 }
-                SamplerCommand::ConfigureIo(points, pen) => {
-                    self.pen = pen;
+                SamplerCommand::ConfigureIo(points, pen, tool) => {
+                    (self.pen, self.tool) = (pen, tool);
                     self.io.configure(points, pen.words);
                     self.spares_terminals = self.io.spares_terminals();
                 }
+                SamplerCommand::Draws(draws) => self.tool.draws = draws,
                 SamplerCommand::SwitchOutputsOff => self.io.switch_off(),
                 SamplerCommand::SetOutput { io, value } => self.io.request(io, value),
                 SamplerCommand::ClearFault => {

@@ -3,12 +3,13 @@
 //! Invariant: an output is set only by a request that has been checked against its type and its terminal.
 
 use super::Coordinator;
-use crate::application::{IoRefusal, Refusal};
+use crate::application::{IoRefusal, Mode, Refusal};
 use crate::board::Lamps;
-use crate::config::{Config, IO_MAX, IoDirection, IoPoint, IoRole, SAMPLE_WORDS_MAX};
+use crate::config::{Config, IO_MAX, IoDirection, IoPoint, IoRole, SAMPLE_WORDS_MAX, ToolFollows};
 use crate::control::io::{IoPlace, IoReport};
 use crate::control::pen_switch::PenSwitch;
 use crate::control::sampler::{CycleReport, SamplerCommand};
+use crate::control::tool::ToolOutput;
 use crate::ethercat::slave_set::SlaveSet;
 use crate::messages::{IoState, IoValues};
 use heapless::Vec;
@@ -38,6 +39,11 @@ pub(super) struct Io {
     lamp: Option<bool>,
     /// Whether a fault was latched in the last millisecond.
     had_fault: bool,
+    /// Whether there is a tool that follows the path, and whether it does so until a held drawing is at rest.
+    has_tool: bool,
+    brakes: bool,
+    /// What the critical tasks were last told: whether the tool may be on.
+    draws: bool,
 }
 
 impl Io {
@@ -50,6 +56,9 @@ impl Io {
             changes: 0,
             lamp: None,
             had_fault: false,
+            has_tool: false,
+            brakes: false,
+            draws: false,
         }
     }
 
@@ -65,6 +74,8 @@ impl Io {
         let needed = config.io.iter().filter(|point| point.role.is_needed());
         let needed = needed.map(|point| usize::from(point.slave)).collect();
         self.spared = config.terminal_places().without(needed);
+        self.has_tool = config.tool.follows != ToolFollows::Nothing;
+        (self.brakes, self.draws) = (!config.tool.off_at_hold, false);
         self.lamp = None;
         self.changes = self.changes.wrapping_add(1);
     }
@@ -148,6 +159,7 @@ impl Coordinator<'_> {
         self.tell_sampler(SamplerCommand::ConfigureIo(
             config.io.iter().map(IoPlace::from).collect(),
             PenSwitch::new(config),
+            ToolOutput::new(config),
         ));
     }
 
@@ -158,7 +170,25 @@ impl Coordinator<'_> {
         if has_fault && !had_fault && !self.io.points.is_empty() {
             self.tell_sampler(SamplerCommand::SwitchOutputsOff);
         }
+        self.permit_tool();
         self.show_mode();
+    }
+
+    /// Tells the critical tasks whether the tool may be on, before the setpoints of a stop arrive: only while a drawing is
+    /// executed. An order that finds no room is given again a millisecond later.
+    fn permit_tool(&mut self) {
+        let draws = match self.application.mode() {
+            Mode::Drawing => true,
+            Mode::Holding => self.io.brakes,
+            _ => false,
+        };
+        if !self.io.has_tool || draws == self.io.draws {
+            return;
+        }
+        let order = SamplerCommand::Draws(draws);
+        if self.ends.sampler_commands.enqueue(order).is_ok() {
+            self.io.draws = draws;
+        }
     }
 
     fn show_mode(&mut self) {

@@ -119,12 +119,19 @@ again! {
         drives_that_hold_at_the_end_of_their_turn_stay_there_whatever_is_missing,
         a_drive_that_does_not_tell_that_it_counts_one_turn_stops_the_robot_at_its_end,
         a_drive_replaced_by_another_of_its_kind_is_homed_and_draws;
+    tool [crate::tool]
+        the_laser_is_off_outside_strokes_and_the_whole_of_each_stroke_has_light,
+        a_dispenser_gets_a_pulse_for_each_pitch_of_each_stroke;
+    tool_stops [crate::tool_stops]
+        the_light_is_off_in_the_millisecond_in_which_a_stop_a_hold_or_a_fault_arrives,
+        a_hold_is_dark_before_the_tool_brakes_and_the_line_goes_on_after_a_known_gap_or_none,
+        after_a_stop_the_light_stays_off_until_the_next_stroke_which_is_whole;
     unreferenced [crate::unreferenced]
         feedback_that_cannot_be_true_is_a_fault_without_a_reference_too;
 }
 
 /// Tests of these modules that run without clocks only, and why.
-const WITHOUT: [(&str, &str); 10] = [
+const WITHOUT: [(&str, &str); 11] = [
     (
         "a_configuration_is_needed_checked_and_kept",
         "it compares configurations, to which the clocks belong",
@@ -164,6 +171,10 @@ const WITHOUT: [(&str, &str); 10] = [
     (
         "whatever_stops_the_robot_in_position_mode_the_next_drawing_comes_out_right",
         "it takes minutes, and the faults are those of other modules, which run with clocks",
+    ),
+    (
+        "the_word_follows_the_true_speed_at_corners_starts_and_ends_at_every_override",
+        "it takes long, and the setpoints do not depend on clocks",
     ),
 ];
 

@@ -35,6 +35,8 @@ mod pen_ways;
 mod position;
 mod robot;
 mod stale;
+mod tool;
+mod tool_stops;
 mod true_times;
 mod unreferenced;
 

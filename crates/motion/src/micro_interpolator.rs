@@ -10,7 +10,7 @@
 
 use super::averaging::TICK_S;
 use super::shaping::Label;
-use super::{PERIOD_MS, Setpoint};
+use super::{PERIOD_MS, Pen, Setpoint};
 use crate::robots::vector::{Vector, root};
 use crate::robots::{AXES, JointAngles, Kinematics, MAIN_AXES};
 
@@ -179,6 +179,8 @@ pub(crate) struct MicroInterpolator {
     beside: usize,
     newest: usize,
     sums: [i64; AXES],
+    /// Places over the paper, mm, in the order of the window.
+    places_mm: [[f64; 2]; WINDOW_MAX],
     /// Milliseconds until the average is at rest once the angles are.
     settling_ms: usize,
 }
@@ -192,6 +194,7 @@ impl MicroInterpolator {
             beside: 0,
             newest: 0,
             sums: [0; AXES],
+            places_mm: [[0.0; 2]; WINDOW_MAX],
             settling_ms: 0,
         }
     }
@@ -221,6 +224,11 @@ impl MicroInterpolator {
         self.settling_ms = 0;
     }
 
+    /// Sets the place of the pose at which the interpolator was placed.
+    pub(crate) fn stand_at(&mut self, [x_mm, y_mm, _]: &Vector) {
+        self.places_mm = [[*x_mm, *y_mm]; WINDOW_MAX];
+    }
+
     /// Whether the setpoints are at rest.
     pub(crate) fn settled(&self) -> bool {
         self.settling_ms == 0
@@ -235,6 +243,7 @@ impl MicroInterpolator {
             stroke: label.stroke,
             pen: label.pen,
             vertex: label.vertex,
+            drawing_mm_s: 0.0,
         }; PERIOD_MS]
     }
 
@@ -252,7 +261,22 @@ impl MicroInterpolator {
         for (angle, main) in angles.iter_mut().zip(main) {
             *angle = main;
         }
-        self.average(angles.map(to_parts), sample.label)
+        let mut setpoint = self.average(angles.map(to_parts), sample.label);
+        setpoint.drawing_mm_s = self.drawing_mm_s(&sample.point, setpoint.pen);
+        setpoint
+    }
+
+    /// Speed over the paper of the average that [`Self::average`] has just moved on to this point. The average of the places
+    /// moves by a part of the way from the oldest to the newest, as that of the angles does.
+    fn drawing_mm_s(&mut self, [x_mm, y_mm, _]: &Vector, pen: Pen) -> f32 {
+        let oldest = self.places_mm[(self.newest + WINDOW_MAX - self.length()) % WINDOW_MAX];
+        self.places_mm[self.newest] = [*x_mm, *y_mm];
+        if pen == Pen::Up {
+            return 0.0;
+        }
+        let [along_x, along_y] = [x_mm - oldest[0], y_mm - oldest[1]];
+        let way_mm = root(along_x * along_x + along_y * along_y);
+        (way_mm / (TICK_S * self.length() as f64)) as f32
     }
 
     fn average(&mut self, parts: [i64; AXES], label: Label) -> Setpoint {

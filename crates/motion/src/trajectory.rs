@@ -196,6 +196,7 @@ impl Trajectory {
             heading: fourth_rad,
             label: Label::NONE,
         };
+        self.interpolator.stand_at(&self.motion.here.point);
         self.motion.drop_path();
         self.motion.watch = Watch::new();
         self.pose = Some(pose);

@@ -36,6 +36,8 @@ pub(super) struct Machine {
     /// Where the axes are that the machine lacks.
     resting: JointAngles,
     pen_lift: Option<PenLift>,
+    /// Whether the tool is off: nothing touches the sheet.
+    is_dark: bool,
     /// The joint, from 0, that a hand pushes, and the angle to which it does, rad.
     push: Option<(usize, f64)>,
 }
@@ -78,6 +80,7 @@ impl Machine {
             sheet: Sheet::new(physics.paper(&config.paper)),
             resting: resting(config),
             pen_lift: PenLift::new(config),
+            is_dark: false,
             push: None,
         }
     }
@@ -109,6 +112,11 @@ impl Machine {
         if let Some(lift) = &mut self.pen_lift {
             lift.aim(height);
         }
+    }
+
+    /// Switches a laser or a dispenser on or off.
+    pub(super) fn switch_tool(&mut self, is_on: bool) {
+        self.is_dark = !is_on;
     }
 
     /// The gear at a slave, from 1.
@@ -175,7 +183,11 @@ impl Load for Machine {
                 None => platform,
             };
             let pen = self.placing.map_or(pen, |placing| placing.on_paper(pen));
-            let z_mm = pen.z_mm + lifted_mm;
+            let z_mm = if self.is_dark {
+                f64::INFINITY
+            } else {
+                pen.z_mm + lifted_mm
+            };
             self.sheet.step(time_ms, Position { z_mm, ..pen });
         }
     }

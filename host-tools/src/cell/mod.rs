@@ -156,6 +156,8 @@ pub struct Cell {
     segment: Segment<Machine>,
     /// The output that lowers the pen.
     pen: Option<PenOutput>,
+    /// The output of a tool without which a pen that touches leaves no ink.
+    tool: Option<PenOutput>,
     switches: Switches,
     /// Who tells the address of the next hop, with EtherCAT in UDP.
     neighbour: Option<Neighbour>,
@@ -215,6 +217,7 @@ impl Cell {
         let mut cell = Self {
             segment,
             pen,
+            tool: PenOutput::of_tool(config),
             switches: Switches::new(config),
             neighbour: Neighbour::new(config),
         };
@@ -233,6 +236,11 @@ impl Cell {
                 .outputs(pen.slave)
                 .map_or(1.0, |outputs| pen.height(&outputs));
             self.segment.load_mut().move_pen(height);
+        }
+        if let Some(tool) = self.tool {
+            let outputs = self.segment.outputs(tool.slave);
+            let is_on = outputs.is_some_and(|outputs| tool.raw(&outputs) != 0);
+            self.segment.load_mut().switch_tool(is_on);
         }
         if !self.switches.is_empty() {
             let angles_rad = self.truth().angles_rad;

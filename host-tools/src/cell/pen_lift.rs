@@ -1,7 +1,7 @@
 //! The pen lift of a machine whose pen an output lowers: a solenoid that answers late and then travels, or a servo that takes a
 //! new position every 20 ms and goes there at its speed.
 
-use etherpen::config::{Config, IoDirection, IoRole, IoType, PenLiftKind};
+use etherpen::config::{Config, IoDirection, IoRole, IoType, PenLiftKind, ToolFollows};
 
 /// Part of the stated times after which the pen has arrived: a machine's owner states a little more than was measured.
 const TIME_PART: f64 = 0.9;
@@ -10,7 +10,7 @@ const WAIT_PART: f64 = 0.5;
 /// Time between two positions that a servo takes, ms: the period of its pulses.
 const FRAME_MS: u32 = 20;
 
-/// A terminal's output that lowers the pen.
+/// A terminal's output that lowers the pen, or the tool's.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct PenOutput {
     /// The terminal's place in the chain, from 1.
@@ -25,9 +25,18 @@ pub(super) struct PenOutput {
 impl PenOutput {
     /// The output with the role `pen`.
     pub(super) fn new(config: &Config) -> Option<Self> {
-        let is_pen =
-            |point: &&etherpen::config::IoPoint| point.role == IoRole::Pen && point.direction == IoDirection::Out;
-        let point = config.io.iter().find(is_pen)?;
+        Self::with_role(config, IoRole::Pen)
+    }
+
+    /// The output of a tool that follows the speed: it leaves ink where it is not 0.
+    pub(super) fn of_tool(config: &Config) -> Option<Self> {
+        let follows_speed = config.tool.follows == ToolFollows::Speed;
+        follows_speed.then(|| Self::with_role(config, IoRole::Tool)).flatten()
+    }
+
+    fn with_role(config: &Config, role: IoRole) -> Option<Self> {
+        let is_it = |point: &&etherpen::config::IoPoint| point.role == role && point.direction == IoDirection::Out;
+        let point = config.io.iter().find(is_it)?;
         // The entry of channel n is object 0x7000 + 0x10 n.
         let channel = |index: u16| index.wrapping_sub(0x7000) / 0x10 * u16::from(point.kind.bits());
         let by_object = point.object.map(|object| channel(object.index));
@@ -42,11 +51,16 @@ impl PenOutput {
         })
     }
 
-    /// The height that it asks for among a terminal's outputs: 0 down, 1 up.
-    pub(super) fn height(self, outputs: &[u8]) -> f64 {
+    /// Its bits among a terminal's outputs.
+    pub(super) fn raw(self, outputs: &[u8]) -> u32 {
         let bit = |at: usize| outputs.get(at / 8).map_or(0, |byte| u32::from(byte >> (at % 8) & 1));
         let bits = usize::from(self.kind.bits());
-        let raw = (0..bits).fold(0, |raw, number| raw | bit(self.bit + number) << number);
+        (0..bits).fold(0, |raw, number| raw | bit(self.bit + number) << number)
+    }
+
+    /// The height that it asks for among a terminal's outputs: 0 down, 1 up.
+    pub(super) fn height(self, outputs: &[u8]) -> f64 {
+        let raw = self.raw(outputs);
         let [down, up] = self.ends;
         ((self.kind.value(raw) as f64 - down) / (up - down)).clamp(0.0, 1.0)
     }

@@ -316,6 +316,25 @@ pub fn io_error(error: &IoError) -> String {
              which must not press the pen down: down is neither 0 nor between 0 and up; all pens have the same type",
             one(io)
         ),
+        IoError::ToolWithoutOutput => {
+            "the tool follows the path, and no output does; write an [[io]] with direction = \"out\" and \
+                                       role = \"tool\", or take [tool] out"
+                .into()
+        }
+        IoError::ToolFollowsNothing { io } => format!(
+            "io {}: an output with role = \"tool\" needs what it follows; write follows = \"speed\", nominal_mm_s and maximum \
+             in [tool], or follows = \"distance\" and pitch_um",
+            one(io)
+        ),
+        IoError::ToolRange { io, most } => format!(
+            "io {}: maximum in [tool] has to be 1 to {most}, which its type holds, and minimum not above maximum",
+            one(io)
+        ),
+        IoError::ToolPitch { io, least_um } => format!(
+            "io {}: at motion.speed_mm_s its pulses come faster than it shows them; write pitch_um = {least_um} or more in \
+             [tool], a lower motion.speed_mm_s, or a word (type = \"u16\") instead of a bit",
+            one(io)
+        ),
         IoError::LimitAxis { io, axes } => format!(
             "io {}: the role limit needs axis = 0 to {}, the axis of the limit switch, and no other role has an axis",
             one(io),
@@ -332,6 +351,10 @@ pub fn io_error(error: &IoError) -> String {
             io,
             role: role @ (IoRole::Lamp | IoRole::Pen),
         } => format!("io {}: a {} is an output of type bool", one(io), role.name()),
+        IoError::Role { io, role: IoRole::Tool } => format!(
+            "io {}: the role tool is for an output that is off at a fault; write direction = \"out\", and no on_fault",
+            one(io)
+        ),
         IoError::Role { io, role } => {
             format!("io {}: the role {} is for an input of type bool", one(io), role.name())
         }

@@ -11,7 +11,9 @@ use super::reading::{self, ReadingError};
 use super::shortened;
 use crate::axes::{AxisView, Motion, Quantity, axes};
 use crate::link::text;
-use etherpen::config::{Config, ConfigError, IoError, IoRole, IoType, SAMPLE_WORD_BYTES_MAX, SAMPLE_WORDS_MAX};
+use etherpen::config::{
+    Config, ConfigError, IoError, IoRole, IoType, SAMPLE_WORD_BYTES_MAX, SAMPLE_WORDS_MAX, ToolFollows,
+};
 use etherpen::motion::{WorkArea, effective_jerk_window_ms};
 use etherpen::robots::{GeometryError, Kinematics, MAIN_AXES, Position};
 use serde::Serialize;
@@ -21,6 +23,8 @@ use toml::de::{DeTable, DeValue};
 
 /// Fastest usual servo motor, revolutions per minute.
 const MOTOR_MAX_RPM: f64 = 6_000.0;
+/// Longest watchdog of a terminal with a tool that few machines exceed, ms.
+const TOOL_WATCHDOG_MAX_MS: u16 = 10;
 /// Least share of an axis's acceleration that its quick stop usually has.
 const QUICK_STOP_MIN: f64 = 0.3;
 
@@ -277,12 +281,16 @@ fn io_line(places: &Places<'_>, cause: &IoError) -> Option<usize> {
         | IoError::Place { io }
         | IoError::LimitAxis { io, .. }
         | IoError::PenPositions { io }
+        | IoError::ToolFollowsNothing { io }
         | IoError::Bit { io, .. }
         | IoError::Role { io, .. } => places.of_io(io),
         IoError::HomeSwitch { axis } | IoError::CoupledAxis { axis } | IoError::SameHomeSwitch { second: axis, .. } => {
             places.of_axis(axis.into(), &["home"])
         }
         IoError::PenWithoutHeight => places.of("pen", &["kind"]),
+        IoError::ToolWithoutOutput => places.of("tool", &["follows"]),
+        IoError::ToolRange { io, .. } => places.of("tool", &["maximum"]).or_else(|| places.of_io(io)),
+        IoError::ToolPitch { io, .. } => places.of("tool", &["pitch_um"]).or_else(|| places.of_io(io)),
         IoError::TerminalSlave { terminal, .. } | IoError::DeviceOfAxis { terminal, .. } => {
             places.of_entry("terminals", terminal)
         }
@@ -307,6 +315,7 @@ pub fn check(text: &str) -> Vec<Finding> {
             Ok(_) => checks.reach(&mut found),
         }
         checks.pen(&mut found);
+        checks.tool(&mut found);
         checks.words(&mut found);
         checks.jerk_window(&mut found);
         checks.axes(&mut found);
@@ -393,6 +402,22 @@ impl Checks<'_> {
                 text: "an output lowers the pen, and no output does: write an [[io]] with direction = \"out\" and \
                        role = \"pen\", or kind = \"axis\" in [pen]"
                     .into(),
+            });
+        }
+    }
+
+    /// How long the tool stays on where nobody can switch it off.
+    fn tool(&self, found: &mut Vec<Finding>) {
+        let (watchdog_ms, blind_max_ms) = (self.config.bus.watchdog_ms, self.config.bus.blind_max_ms);
+        if self.config.tool.follows != ToolFollows::Nothing && watchdog_ms > TOOL_WATCHDOG_MAX_MS {
+            found.push(Finding {
+                gravity: Gravity::Warning,
+                line: self.places.of("bus", &["watchdog_ms"]),
+                text: format!(
+                    "behind a cable that breaks the tool keeps its value until its terminal's own watchdog ends: {watchdog_ms} \
+                     ms; write watchdog_ms = {} to {TOOL_WATCHDOG_MAX_MS}",
+                    blind_max_ms + 1
+                ),
             });
         }
     }

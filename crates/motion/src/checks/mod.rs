@@ -5,6 +5,7 @@
 
 mod bad_input;
 mod commands;
+mod drawing_speed;
 mod executed;
 mod merging;
 mod noise;

@@ -7,7 +7,7 @@ use crate::robots::{Geometry, LinearDeltaGeometry, ScaraGeometry};
 use crate::settings::Orientation;
 
 /// Random limits, tolerances and options.
-fn varied(random: &mut Random, bench: &Bench) -> Settings {
+pub(super) fn varied(random: &mut Random, bench: &Bench) -> Settings {
     let mut settings = bench.settings.clone();
     let motion = &mut settings.motion;
     motion.speed_mm_s = random.between(50.0, 2_000.0);
@@ -35,7 +35,7 @@ fn varied(random: &mut Random, bench: &Bench) -> Settings {
 }
 
 /// Strokes of all characters, lowered and lifted straight or on a slant, on the default machine's sheet.
-fn varied_path(random: &mut Random, settings: &Settings) -> Vec<Vertex> {
+pub(super) fn varied_path(random: &mut Random, settings: &Settings) -> Vec<Vertex> {
     let down = Settings::default().paper.pen_down_z_mm;
     let up = down + settings.paper.pen_lift_mm;
     let mut path = Vec::new();

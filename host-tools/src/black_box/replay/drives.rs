@@ -9,6 +9,7 @@ use etherpen::config::{AxisMode, Config, Transport};
 use etherpen::control::io::IoPlaces;
 use etherpen::control::pen_switch::PenSwitch;
 use etherpen::control::sampler::{CycleReport, OUTPUT_LATE_NS, Queued, Sampler, SamplerCommand};
+use etherpen::control::tool::ToolOutput;
 use etherpen::drives::io::{BusState, GroupDrive, IoGroup, IoTrigger};
 use etherpen::drives::{DriveInput, DriveOutput, MemoryGroup, PositionRange, ax2000, generic};
 use etherpen::ethercat::cyclic::{Arrival, BusCounters, ExchangeKind};
@@ -113,7 +114,11 @@ impl<'q> Control<'q> {
         let axes = config.controlled_axes();
         control.order(SamplerCommand::Configure { axes, bus });
         // What happened at inputs is not recorded; the height of a pen that an output lifts follows from the configuration.
-        control.order(SamplerCommand::ConfigureIo(IoPlaces::new(), PenSwitch::new(config)));
+        control.order(SamplerCommand::ConfigureIo(
+            IoPlaces::new(),
+            PenSwitch::new(config),
+            ToolOutput::default(),
+        ));
         control
     }
 

@@ -200,11 +200,12 @@ pub fn fault(fault: &Fault) -> String {
                 IoRole::Door => "the door",
                 IoRole::Limit => "the limit switch",
                 IoRole::Pen => "the pen",
+                IoRole::Tool => "the tool",
                 _ => "the emergency stop",
             };
             match cause {
                 InputCause::Open => format!("{what} is open (io {}); close it, then acknowledge", one(io)),
-                InputCause::Missing if role == IoRole::Pen => format!(
+                InputCause::Missing if matches!(role, IoRole::Pen | IoRole::Tool) => format!(
                     "the terminal does not confirm the output of {what} (io {}); check its supply and cable, then acknowledge",
                     one(io)
                 ),

@@ -210,3 +210,84 @@ fn a_jerk_window_that_the_planner_shortens_is_named_with_the_longest() {
     let longest = sample.replacen(from, "jerk_window_ms = 7 ", 1);
     assert_eq!(check(&longest), []);
 }
+
+/// The CoreXY with a laser at its output terminal.
+fn laser(tool: &str, point: &str) -> String {
+    let pen = "[pen]\nkind = \"output\"              # the output with the role \"pen\" lowers it\ndown_ms = 50                 \
+               # from the output to the paper\nup_ms = 40                   # and back\n";
+    assert!(COREXY.contains(pen));
+    let text = COREXY.replacen(pen, &format!("[pen]\nkind = \"none\"\n\n[tool]\n{tool}\n"), 1);
+    let text = text.replacen("[[io]]\nname = \"pen\"", "[[io]] # the laser\nname = \"pen\"", 1);
+    text.replacen("role = \"pen\"", point, 1)
+}
+
+#[test]
+fn a_tool_is_right_or_named_with_its_line_and_what_to_write() {
+    let word = "role = \"tool\"\ntype = \"u16\"";
+    let speed = "follows = \"speed\"\nnominal_mm_s = 200.0\nminimum = 100\nmaximum = 1000";
+    for (tool, point) in [
+        (speed, word),
+        (speed, "role = \"tool\""),
+        ("follows = \"distance\"\npitch_um = 100", word),
+        ("follows = \"distance\"\npitch_um = 400", "role = \"tool\""),
+    ] {
+        assert_eq!(check(&laser(tool, point)), [], "{tool}, {point}");
+    }
+    for (tool, point, at, said) in [
+        (speed, "role = \"none\"", "follows", "role = \"tool\""),
+        ("lead_ms = 1", word, "# the laser", "follows = \"speed\""),
+        (
+            "follows = \"speed\"\nmaximum = 1000",
+            word,
+            "[tool]",
+            "tool.nominal_mm_s is 0, allowed is 1 to 10000",
+        ),
+        (
+            "follows = \"speed\"\nnominal_mm_s = 0.0\nmaximum = 1000",
+            word,
+            "nominal_mm_s = 0.0",
+            "tool.nominal_mm_s is 0, allowed is 1 to 10000",
+        ),
+        (
+            "follows = \"speed\"\nnominal_mm_s = 200.0\nmaximum = 40000",
+            "role = \"tool\"\ntype = \"i16\"",
+            "maximum = 40000",
+            "1 to 32767",
+        ),
+        (
+            "follows = \"speed\"\nnominal_mm_s = 200.0\nminimum = 2000\nmaximum = 1000",
+            word,
+            "maximum = 1000",
+            "minimum not above maximum",
+        ),
+        (
+            "follows = \"distance\"\npitch_um = 100",
+            "role = \"tool\"",
+            "pitch_um",
+            "pitch_um = 400 or more",
+        ),
+        (
+            speed,
+            "role = \"tool\"\ntype = \"u16\"\non_fault = \"hold\"",
+            "# the laser",
+            "no on_fault",
+        ),
+    ] {
+        let text = laser(tool, point);
+        let found = finding(&text, "[tool]", "[tool]", at);
+        assert_eq!(found.gravity, Gravity::Error, "{found}");
+        assert!(found.text.contains(said), "{found}");
+    }
+    // A way of 0 is out of its bounds, and pulses come faster than any output shows them.
+    let found = check(&laser("follows = \"distance\"", word));
+    assert!(
+        found.len() == 2 && found[0].text.contains("tool.pitch_um is 0, allowed is 10 to 65535"),
+        "{found:#?}"
+    );
+    let slow = laser(speed, word).replacen("[bus]", "[bus]\nwatchdog_ms = 100", 1);
+    let found = finding(&slow, "[tool]", "[tool]", "watchdog_ms");
+    assert!(
+        found.gravity == Gravity::Warning && found.text.contains("watchdog_ms = "),
+        "{found}"
+    );
+}
