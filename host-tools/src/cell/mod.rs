@@ -29,8 +29,8 @@ mod tuning;
 mod vibration;
 
 pub use etherpen_segment::{
-    AlState, Branch, ClockOptions, Fault, MailFault, MailStep, OneTurn, PlaceOptions, Product, ResolverFault,
-    SCRIPT_HELP, Script, SiiFault, SlaveKind, SlaveList, SlaveListError, SlaveState, parse_slaves,
+    AlState, Branch, ClockOptions, DriveState, Fault, MailFault, MailStep, OneTurn, PlaceOptions, Product,
+    ResolverFault, SCRIPT_HELP, Script, SiiFault, SlaveKind, SlaveList, SlaveListError, SlaveState, parse_slaves,
 };
 pub use faults::read_faults;
 pub use paper::{InkStroke, PEN_SPRING_MM};
