@@ -103,11 +103,11 @@ fn a_robot_that_is_not_as_it_is_configured_is_found_from_its_motors() {
         // One motor turns its joint a tenth farther than the controller and the monitor believe.
         config.axes[0].gear /= 1.1;
         let mut operator = Operator::new(&episode, config, world.clone());
-        with_resets(&mut operator, |operator, begun_ms, left_ms| {
+        with_resets(LIMIT_MS, &mut operator, |operator, begun_ms, left_ms| {
             let mut segment = begun_later(&world, begun_ms);
             (simulation::run(&mut segment, operator, left_ms), ())
         });
-        let failure = operator.into_failure();
+        let failure = operator.failure();
         println!("{}: {failure:?}", machine.name);
         assert!(failure.is_some(), "{}", machine.name);
     }

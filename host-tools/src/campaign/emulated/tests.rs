@@ -60,6 +60,9 @@ fn last_black_box(image: &Path, episode: &Episode) -> (Vec<u8>, Witness, Run) {
     (memory, witness, run)
 }
 
+/// Gives a random number below a bound.
+type Below<'a> = &'a mut dyn FnMut(usize) -> usize;
+
 #[test]
 fn a_black_box_in_which_one_bit_is_changed_is_found() {
     let (image, mut episode) = (image(), of_seed(1, Profile::Quiet));
@@ -74,7 +77,7 @@ fn a_black_box_in_which_one_bit_is_changed_is_found() {
     assert_eq!(examined(&memory), Ok(()));
     let mut random = Random::new(1);
     let mut below = |bound: usize| (random.unit() * bound as f64) as usize % bound;
-    let mut found_of = |what: &str, place: &mut dyn FnMut(&mut dyn FnMut(usize) -> usize) -> (usize, u8)| {
+    let mut found_of = |what: &str, place: &mut dyn FnMut(Below<'_>) -> (usize, u8)| {
         let mut found = 0;
         for _ in 0..CHANGES {
             let (byte, bit) = place(&mut below);
