@@ -120,8 +120,8 @@ pub(crate) fn elf(bytes: &[u8]) {
         let _ = (image.section(&section.name), image.word(section.address));
     }
     for function in image.functions() {
-        assert!(image.function(&function.name).is_some());
-        let _ = image.function_at(function.address);
+        // Symbols of a damaged image may share a name, and functions an address.
+        let _ = (image.function(&function.name), image.function_at(function.address));
     }
     let _ = image.has_double_precision();
 }

@@ -41,7 +41,7 @@ const PROOF_TOLERANCE_MM: f64 = 0.2;
 const SAMPLED: usize = 11;
 const SAMPLED_WITH_CLOCKS: usize = 3;
 /// Beginnings of the names of faults that hit several slaves in the same millisecond.
-const SEVERAL: [&str; 2] = ["no outputs", "no frames"];
+const SEVERAL: [&str; 3] = ["no outputs", "no frames", "50 frames damaged"];
 /// Columns of a row.
 const TOLD: usize = 2;
 const NOTICED: usize = 3;
