@@ -65,7 +65,7 @@ const PULSES_MAX_PER_MS: f64 = 100.0;
 const PULSE_MS: f64 = 2.0;
 
 impl Tool {
-    /// Hard bounds of its values; those that are not used may have any.
+    /// Hard bounds of its values; those that are not used may have any finite number.
     pub(super) fn bounds(&self) -> [Bound; TOOL_BOUNDS] {
         let used = |follows, name, value: f64, low, high| match self.follows == follows {
             true => bound(name, value, low, high),

@@ -3,15 +3,16 @@
 //! An encoder shows an axis that stands between two increments at either of them. A coarse one makes that look like motion: with
 //! less than 630,000 increments for a turn of the joint, one increment in a millisecond is faster than [`STANDSTILL_RAD_S`].
 //!
-//! Invariant: an axis that goes on in one direction faster than that is at rest for a millisecond or two only.
+//! Invariant: an axis that goes on in one direction is at rest for no more milliseconds in a row than it needs for two increments,
+//! unless it is slower than that speed.
 
 use crate::config::Axis;
 use core::f64::consts::TAU;
 
 /// Speed below which an axis is at rest, rad/s.
 const STANDSTILL_RAD_S: f64 = 0.01;
-/// How far an axis at rest may be from where it came to rest, increments: two, and the rounding of angles.
-const DITHER_INCREMENTS: f64 = 2.5;
+/// How far an axis at rest may be from where it came to rest, increments: one, and the rounding of angles.
+const DITHER_INCREMENTS: f64 = 1.5;
 
 /// Where an axis came to rest.
 #[derive(Clone, Copy, Debug)]
@@ -73,7 +74,7 @@ mod tests {
                 gear: -7.592_484,
                 ..Axis::default()
             };
-            let dithers = (0..100).map(|ms| 500_000 + [0, 1, 0, 0, -1][ms % 5]);
+            let dithers = (0..100).map(|ms| 500_000 + [0, 1, 0, 0, 1, 1][ms % 6]);
             assert!(rests_ms(&axis, dithers) >= 98, "{increments_per_revolution}");
         }
     }
@@ -91,6 +92,19 @@ mod tests {
             assert!(
                 longest_ms <= 2,
                 "{longest_ms} ms at {speed} increments in a millisecond"
+            );
+        }
+        // An increment in several milliseconds, with the coarsest encoder.
+        let coarse = Axis {
+            increments_per_revolution: 256,
+            gear: 7.592_484,
+            ..Axis::default()
+        };
+        for each_ms in 2..10 {
+            let longest_ms = rests_ms(&coarse, (1..500).map(|ms| 10_000 + ms / each_ms));
+            assert!(
+                longest_ms < 2 * each_ms as u32,
+                "{longest_ms} ms at an increment in {each_ms} ms"
             );
         }
         // A fine encoder: 11 mrad/s are many increments.

@@ -336,7 +336,10 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         let may_be_on = may_lower && self.tool.draws && !is_held && self.robot.is_in_operation();
         let ahead = self.tool.ahead(self.bus.exchange);
         match self.window.get(ahead) {
-            Some(setpoint) if may_be_on && setpoint.pen == Pen::Down => self.tool.step(setpoint.drawing_mm_s),
+            // The way to the first vertex belongs to no stroke, whatever its pen.
+            Some(setpoint) if may_be_on && setpoint.pen == Pen::Down && setpoint.vertex > 0 => {
+                self.tool.step(setpoint.drawing_mm_s)
+            }
             _ => self.tool.off(),
         }
     }
@@ -516,7 +519,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         } else {
             now.measured_rad[AXIS] = before_rad + now.measured_rad_s[AXIS] / CYCLES_PER_S;
         }
-        // Silence does not mean rest: the last measured speed decides.
+        // Silence does not mean rest: the angle goes on with the last measured speed.
         self.rest[AXIS].is_at(now.measured_rad[AXIS], now.measured_rad_s[AXIS])
     }
 

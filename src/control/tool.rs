@@ -3,7 +3,8 @@
 //! The trajectory gives each setpoint the speed that leads to it. Only a multiplication and a comparison are left for the critical
 //! task, and without a tool nothing.
 //!
-//! Invariant: the value is 0 in every millisecond in which the tool may not be on; what was counted before is forgotten.
+//! Invariant: the value that is written is 0 in every millisecond in which the tool may not be on; what was counted before is
+//! forgotten. Without frames the terminal keeps the last value until its own watchdog expires.
 
 use crate::config::{Config, IoRole, IoType, ToolFollows, command_delay_ms};
 use crate::ethercat::cyclic::ExchangeKind;
@@ -51,7 +52,7 @@ pub struct ToolOutput {
 }
 
 impl ToolOutput {
-    /// The output of a configuration; without power until the operating mode allows it.
+    /// The output of a configuration; off until the operating mode allows it.
     pub fn new(config: &Config) -> Self {
         let tool = &config.tool;
         let outputs = config.io.iter().filter(|point| point.role == IoRole::Tool);

@@ -39,9 +39,10 @@ pub(super) struct Io {
     lamp: Option<bool>,
     /// Whether a fault was latched in the last millisecond.
     had_fault: bool,
-    /// Whether there is a tool that follows the path, and whether it does so until a held drawing is at rest.
+    /// Whether there is a tool that follows the path.
     has_tool: bool,
-    brakes: bool,
+    /// Whether the tool stays on until a held drawing is at rest.
+    is_on_in_hold: bool,
     /// What the critical tasks were last told: whether the tool may be on.
     draws: bool,
 }
@@ -57,7 +58,7 @@ impl Io {
             lamp: None,
             had_fault: false,
             has_tool: false,
-            brakes: false,
+            is_on_in_hold: false,
             draws: false,
         }
     }
@@ -75,7 +76,7 @@ impl Io {
         let needed = needed.map(|point| usize::from(point.slave)).collect();
         self.spared = config.terminal_places().without(needed);
         self.has_tool = config.tool.follows != ToolFollows::Nothing;
-        (self.brakes, self.draws) = (!config.tool.off_at_hold, false);
+        (self.is_on_in_hold, self.draws) = (!config.tool.off_at_hold, false);
         self.lamp = None;
         self.changes = self.changes.wrapping_add(1);
     }
@@ -179,7 +180,7 @@ impl Coordinator<'_> {
     fn permit_tool(&mut self) {
         let draws = match self.application.mode() {
             Mode::Drawing => true,
-            Mode::Holding => self.io.brakes,
+            Mode::Holding => self.io.is_on_in_hold,
             _ => false,
         };
         if !self.io.has_tool || draws == self.io.draws {

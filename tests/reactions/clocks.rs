@@ -121,6 +121,7 @@ again! {
         a_drive_replaced_by_another_of_its_kind_is_homed_and_draws;
     tool [crate::tool]
         the_laser_is_off_outside_strokes_and_the_whole_of_each_stroke_has_light,
+        the_way_to_a_path_that_begins_with_the_pen_down_is_dark,
         a_dispenser_gets_a_pulse_for_each_pitch_of_each_stroke;
     tool_stops [crate::tool_stops]
         the_light_is_off_in_the_millisecond_in_which_a_stop_a_hold_or_a_fault_arrives,

@@ -204,6 +204,25 @@ pub(crate) fn the_laser_is_off_outside_strokes_and_the_whole_of_each_stroke_has_
     }
 }
 
+#[test]
+pub(crate) fn the_way_to_a_path_that_begins_with_the_pen_down_is_dark() {
+    for (speed_mm_s, exchange) in [(20.0, ExchangeKind::Combined), (200.0, ExchangeKind::Split)] {
+        let mut robot = Robot::idle_with(&laser(speed_mm_s, exchange));
+        let mut path = path();
+        path[0].pen = Pen::Down;
+        path[1].pen = Pen::Down;
+        for again in 0..2 {
+            let moments = watched(&mut robot, TERMINAL, &path);
+            let lit: Vec<_> = moments.iter().filter(|moment| moment.word > 0).collect();
+            let beside_mm = lit.iter().map(|moment| moment.beside_mm).fold(0.0, f64::max);
+            assert!(
+                !lit.is_empty() && beside_mm < 0.3,
+                "{beside_mm} mm at {speed_mm_s} mm/s, {again}"
+            );
+        }
+    }
+}
+
 /// Lines of ink that go on where another ends are one.
 fn joined(lines: Vec<InkStroke>) -> Vec<InkStroke> {
     let mut joined: Vec<InkStroke> = Vec::new();

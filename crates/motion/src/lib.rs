@@ -101,8 +101,8 @@ pub struct Setpoint {
     pub pen: Pen,
     /// Vertices of the path fully executed.
     pub vertex: u32,
-    /// Speed over the paper that leads to the position, mm/s, vertical motion not counted; 0 with the pen up. A millisecond's
-    /// way of the tool, divided by the millisecond.
+    /// Speed over the paper that leads to the position, mm/s, vertical motion not counted; 0 with the pen up. Averaged over
+    /// one millisecond.
     pub drawing_mm_s: f32,
 }
 

@@ -1,7 +1,7 @@
 //! A job log on a bad disk: whatever a file has become, a resumed drawing lacks no ink.
 
 use super::history::{HistoryEntry, Record, hash_text};
-use super::resume::{MachineState, last, plan};
+use super::resume::{LastPart, MachineState, last, last_part_in, plan};
 use super::{path_hash, resume};
 use crate::random::Random;
 use etherpen::config::Config;
@@ -170,6 +170,47 @@ fn an_entry_that_is_damaged_is_named_and_an_older_drawing_is_not_continued_in_it
     fs::write(&log.newest, &log.whole).expect("the entry");
     fs::write(log.folder.join(format!("0000000000002-{}-1.json", log.hash)), b"{").expect("an entry");
     assert!(is_whole(&path(), EXECUTED, &log.rest().expect("resumed")));
+}
+
+#[test]
+fn a_newer_entry_without_ink_hides_no_damaged_one() {
+    let log = Log::new("inkless");
+    fs::write(&log.newest, &log.whole[..log.whole.len() / 2]).expect("the entry");
+    let entry = HistoryEntry {
+        path_hash: log.hash.clone(),
+        ..HistoryEntry::default()
+    };
+    let newer = Record::begin(&log.folder, entry).expect("a log");
+    let old = log.folder.join(format!("{}.json", newer.name()));
+    let name = format!("9999999999999-{}-1.json", log.hash);
+    fs::rename(&old, log.folder.join(name)).expect("the newest one");
+    let refused = last(&log.folder, &log.hash, Path::new("portrait.png")).unwrap_err();
+    assert!(refused.message.contains("damaged"), "{}", refused.message);
+}
+
+#[test]
+fn a_drawing_of_layers_does_not_go_on_behind_a_damaged_layer() {
+    let log = Log::new("layers");
+    let hashes = ["0123456789abcdef".to_owned(), log.hash.clone()];
+    let entry = HistoryEntry {
+        path_hash: hashes[0].clone(),
+        completed: true,
+        strokes: 3,
+        ..HistoryEntry::default()
+    };
+    let first = Record::begin(&log.folder, entry).expect("a log");
+    let old = log.folder.join(format!("{}.json", first.name()));
+    let name = format!("0000000000003-{}-1.json", hashes[0]);
+    fs::rename(&old, log.folder.join(name)).expect("an older one");
+    let left = || last_part_in(&log.folder, &hashes, Path::new("portrait.png"));
+    let here = LastPart {
+        index: 1,
+        is_next: false,
+    };
+    assert_eq!(left().expect("the second layer"), here);
+    fs::write(&log.newest, &log.whole[..log.whole.len() / 2]).expect("the entry");
+    let refused = left().unwrap_err();
+    assert!(refused.message.contains("damaged"), "{}", refused.message);
 }
 
 #[test]

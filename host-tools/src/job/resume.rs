@@ -149,20 +149,26 @@ pub(super) fn last(folder: &Path, hash: &str, file: &Path) -> Result<Vec<Record>
     let records = history::list(folder).map_err(unreadable)?;
     let damaged = history::newest_damaged(folder, hash).map_err(unreadable)?;
     let found = candidates(&records, hash, file);
+    // An entry without ink says nothing about the sheet.
     let is_older = |name: &String| {
-        let newest = found.as_ref().ok().and_then(|found| found.first());
+        let newest = found
+            .as_ref()
+            .ok()
+            .and_then(|found| found.iter().find(|record| has_ink(record)));
         newest.is_some_and(|record| record.name() > *name)
     };
     match damaged.filter(|name| !is_older(name)) {
         None => found,
-        Some(name) => {
-            let text = format!(
-                "the entry {name} of this drawing in the log of jobs is damaged: it does not tell how far the drawing came; \
-                 draw it from the beginning without --resume, or name another job (etherpen jobs lists them)"
-            );
-            Err(ProgramError::new(code::INPUT, text))
-        }
+        Some(name) => Err(damaged_entry(&name)),
     }
+}
+
+fn damaged_entry(name: &str) -> ProgramError {
+    let text = format!(
+        "the entry {name} of this drawing in the log of jobs is damaged: it does not tell how far the drawing came; \
+         draw it from the beginning without --resume, or name another job (etherpen jobs lists them)"
+    );
+    ProgramError::new(code::INPUT, text)
 }
 
 /// The logged job with this name, or the only one whose name starts with it.
@@ -202,14 +208,31 @@ pub struct LastPart {
 /// # Errors
 /// The log cannot be read, knows none of the parts, or knows the last part as drawn to its end.
 pub fn last_part(hashes: &[String], file: &Path) -> Result<LastPart, ProgramError> {
-    part_left(&records()?, hashes, file)
+    let folder = history::folder().map_err(unreadable)?;
+    last_part_in(&folder, hashes, file)
+}
+
+/// Where a drawing of several parts goes on, by a log.
+pub(super) fn last_part_in(folder: &Path, hashes: &[String], file: &Path) -> Result<LastPart, ProgramError> {
+    let records = history::list(folder).map_err(unreadable)?;
+    let is_part = |record: &&Record| hashes.contains(&record.entry.path_hash) && has_ink(record);
+    let newest = records.iter().rev().find(is_part);
+    for hash in hashes {
+        let damaged = history::newest_damaged(folder, hash).map_err(unreadable)?;
+        if let Some(name) = damaged.filter(|name| newest.is_none_or(|record| record.name() < *name)) {
+            return Err(damaged_entry(&name));
+        }
+    }
+    part_left(&records, hashes, file)
+}
+
+/// Whether a job has drawn anything.
+fn has_ink(record: &Record) -> bool {
+    record.entry.completed || record.entry.strokes > 0
 }
 
 fn part_left(records: &[Record], hashes: &[String], file: &Path) -> Result<LastPart, ProgramError> {
-    let with_ink = records
-        .iter()
-        .rev()
-        .filter(|record| record.entry.completed || record.entry.strokes > 0);
+    let with_ink = records.iter().rev().filter(|record| has_ink(record));
     let mut parts = with_ink.filter_map(|record| {
         let index = hashes.iter().position(|hash| *hash == record.entry.path_hash)?;
         Some((index, record.entry.completed))

@@ -398,6 +398,9 @@ pub fn config_error(error: &ConfigError) -> String {
         .axis
         .map_or(String::new(), |axis| format!(" of axis {}", one(axis)));
     let why = match error.field.name() {
+        "axes.quick_stop_rad_s2" if error.value > error.high => {
+            "the drive is told increments per second squared in 32 bits: a smaller gear or fewer increments allow more; "
+        }
         "axes.quick_stop_rad_s2" => "the axis must stop from its highest speed before its brake closes; ",
         "axes.alias" | "axes.switch" | "axes.serial" => "another axis expects the same drive; ",
         "axes.gear" if is_linear(error) => "it is gear times 628.3 mm / pitch_mm; ",

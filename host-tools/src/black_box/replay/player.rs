@@ -18,7 +18,7 @@ use etherpen::robots::{AXES, JointAngles};
 /// Setpoints that the sampler looks at, from the present one on. Those behind the last one of a motion that was
 /// interrupted are not recorded, but the controller had them.
 const LOOK_AHEAD: usize = 12;
-/// Time after which the axes are homed at the latest that an event orders to be, ms.
+/// Longest time from an order to home to homed axes, ms.
 const ORDER_MS: usize = 3;
 
 /// A replay in progress.
@@ -170,7 +170,7 @@ impl<'a, 'q> Player<'a, 'q> {
         // The sampler takes an order in the millisecond after it; what it shows may come later.
         let home = match ends || becomes_homed {
             true => self.events.accepted(recent_ms, EVENT_MS, is_home),
-            // On a board the task that records an event hears of the milliseconds one later than here.
+            // On a board an event may be recorded with a time one millisecond later than here.
             false if self.is_homed_soon(index) => None,
             false => self.events.accepted(before.t_ms, 1, is_home),
         };

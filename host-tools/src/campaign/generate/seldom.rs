@@ -125,8 +125,8 @@ pub(super) fn events(machine: &Machine, seed: u64, profile: Profile, duration_ms
     events
 }
 
-/// A drive that refuses a request when it is set up again, as it may refuse the choice of its process data, and another one that
-/// is set up behind it.
+/// A drive that refuses a request when it is set up again, as it may refuse the choice of its process data, and a drive that
+/// is set up behind it, often another one.
 fn refused_choice(chance: &mut Chance, machine: &Machine, duration_ms: u32) -> [Event; 3] {
     let first = chance.one_of(&machine.chain.drives);
     let other = chance.one_of(&machine.chain.drives);
