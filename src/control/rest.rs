@@ -3,47 +3,57 @@
 //! An encoder shows an axis that stands between two increments at either of them. A coarse one makes that look like motion: with
 //! less than 630,000 increments for a turn of the joint, one increment in a millisecond is faster than [`STANDSTILL_RAD_S`].
 //!
-//! Invariant: an axis that goes on in one direction is at rest for no more milliseconds in a row than it needs for two increments,
-//! unless it is slower than that speed.
+//! Invariant: a second increment in the same direction within [`STANDSTILL_MS`] is motion.
 
 use crate::config::Axis;
+use crate::control::sampler::STANDSTILL_MS;
 use core::f64::consts::TAU;
 
 /// Speed below which an axis is at rest, rad/s.
 const STANDSTILL_RAD_S: f64 = 0.01;
-/// How far an axis at rest may be from where it came to rest, increments: one, and the rounding of angles.
-const DITHER_INCREMENTS: f64 = 1.5;
+/// Largest step of an axis at rest, increments: one, and the rounding of angles.
+const STEP_INCREMENTS: f64 = 1.5;
+/// Milliseconds in a second.
+const MS_PER_S: f64 = 1_000.0;
 
-/// Where an axis came to rest.
+/// How an axis has moved last.
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Rest {
-    at_rad: f64,
-    dither_rad: f64,
+    /// Speed of the largest step at rest, rad/s.
+    step_rad_s: f64,
+    /// Whether the last step led upwards.
+    was_up: bool,
+    /// Milliseconds since the last step, at most [`STANDSTILL_MS`].
+    still_ms: u16,
 }
 
 impl Rest {
     pub(super) const UNKNOWN: Self = Self {
-        at_rad: 0.0,
-        dither_rad: 0.0,
+        step_rad_s: 0.0,
+        was_up: false,
+        still_ms: 0,
     };
 
     /// An axis with this encoder and gear.
     pub(super) fn of(axis: &Axis) -> Self {
         let increments = f64::from(axis.increments_per_revolution) * axis.gear.abs() / TAU;
         Self {
-            dither_rad: DITHER_INCREMENTS / increments,
+            step_rad_s: STEP_INCREMENTS * MS_PER_S / increments,
             ..Self::UNKNOWN
         }
     }
 
-    /// Whether an axis at this angle, rad, with this speed, rad/s, is at rest.
+    /// Whether an axis with this speed in the last millisecond, rad/s, is at rest.
     #[inline(always)]
-    pub(super) fn is_at(&mut self, angle_rad: f64, speed_rad_s: f64) -> bool {
-        let is_at_rest = speed_rad_s.abs() < STANDSTILL_RAD_S || (angle_rad - self.at_rad).abs() <= self.dither_rad;
-        if !is_at_rest {
-            self.at_rad = angle_rad;
+    pub(super) fn is_at(&mut self, speed_rad_s: f64) -> bool {
+        if speed_rad_s.abs() < STANDSTILL_RAD_S {
+            self.still_ms = (self.still_ms + 1).min(STANDSTILL_MS);
+            return true;
         }
-        is_at_rest
+        let is_up = speed_rad_s > 0.0;
+        let goes_on = self.still_ms < STANDSTILL_MS && is_up == self.was_up;
+        (self.was_up, self.still_ms) = (is_up, 0);
+        speed_rad_s.abs() <= self.step_rad_s && !goes_on
     }
 }
 
@@ -58,7 +68,7 @@ mod tests {
         let (mut before_rad, mut now_ms, mut longest_ms) = (0.0, 0, 0);
         for increments in increments {
             let angle_rad = f64::from(increments) * increment_rad;
-            let is_at_rest = rest.is_at(angle_rad, (angle_rad - before_rad) * 1_000.0);
+            let is_at_rest = rest.is_at((angle_rad - before_rad) * MS_PER_S);
             before_rad = angle_rad;
             now_ms = if is_at_rest { now_ms + 1 } else { 0 };
             longest_ms = longest_ms.max(now_ms);
@@ -100,10 +110,10 @@ mod tests {
             gear: 7.592_484,
             ..Axis::default()
         };
-        for each_ms in 2..10 {
+        for each_ms in 2..STANDSTILL_MS as i32 {
             let longest_ms = rests_ms(&coarse, (1..500).map(|ms| 10_000 + ms / each_ms));
             assert!(
-                longest_ms < 2 * each_ms as u32,
+                longest_ms < each_ms as u32,
                 "{longest_ms} ms at an increment in {each_ms} ms"
             );
         }

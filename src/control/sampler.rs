@@ -519,8 +519,8 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
         } else {
             now.measured_rad[AXIS] = before_rad + now.measured_rad_s[AXIS] / CYCLES_PER_S;
         }
-        // Silence does not mean rest: the angle goes on with the last measured speed.
-        self.rest[AXIS].is_at(now.measured_rad[AXIS], now.measured_rad_s[AXIS])
+        // Silence does not mean rest: the last measured speed decides.
+        self.rest[AXIS].is_at(now.measured_rad_s[AXIS])
     }
 
     /// Advances to this millisecond's setpoint. Returns whether one is followed, and whether one was missing.
