@@ -6,11 +6,12 @@
 use super::super::chance::Chance;
 use super::super::episode::Episode;
 use super::super::robot;
+use super::setup::END_RAD;
 use crate::axes::{Motion, motion};
 use crate::settings::checking;
 use etherpen::config::{AxisMode, Config, WorkVolume};
 use etherpen::motion::WorkArea;
-use etherpen::robots::{JointAngles, Kinematics, MAIN_AXES};
+use etherpen::robots::{AXES, JointAngles, Kinematics, MAIN_AXES};
 use std::f64::consts::TAU;
 use toml::Value;
 
@@ -175,13 +176,20 @@ fn search_farther(episode: &mut Episode) {
     }
 }
 
-/// Whether a robot reaches all of its sheet, and stands at its marks as it usually does: within its ranges, and with the tool
-/// above the paper if it usually is.
+/// Whether a robot reaches all of its sheet, and stands at its marks as it usually does: within its ranges, no nearer to their ends
+/// than a folded robot may stand or it usually does, and with the tool above the paper if it usually is.
 fn is_usable(config: &Config, usual: &Config) -> bool {
     let area = WorkArea::new(&config.motion_settings());
-    let ranges_rad = robot::ranges_rad(&config.geometry);
     let drives = usize::from(config.bus.drives);
-    let marks = config.axes.iter().zip(ranges_rad).take(drives);
+    // Ways from the marks to the nearer ends, rad; below 0 outside.
+    let rooms_rad = |config: &Config| {
+        let ranges_rad = robot::ranges_rad(&config.geometry);
+        let mark_rad = config.axes.each_ref().map(|axis| axis.sync_angle_rad);
+        let room_rad = |axis: usize| (mark_rad[axis] - ranges_rad[axis][0]).min(ranges_rad[axis][1] - mark_rad[axis]);
+        core::array::from_fn::<f64, AXES, _>(room_rad)
+    };
+    let (rooms, usual_rooms) = (rooms_rad(config), rooms_rad(usual));
+    let mut axes = rooms.iter().zip(usual_rooms).take(drives);
     let is_within = |config: &Config| {
         let low_mm = config.paper.pen_down_z_mm + config.paper.pen_lift_mm;
         let marks = JointAngles(config.axes.each_ref().map(|axis| axis.sync_angle_rad));
@@ -189,9 +197,7 @@ fn is_usable(config: &Config, usual: &Config) -> bool {
         tool.is_ok_and(|tool| tool.is_ok_and(|tool| tool.z_mm >= low_mm))
     };
     area.is_ok_and(|area| checking::unreached(config, &area).is_none())
-        && marks
-            .into_iter()
-            .all(|(axis, [low_rad, high_rad])| (low_rad..=high_rad).contains(&axis.sync_angle_rad))
+        && axes.all(|(room_rad, usual_rad)| *room_rad >= usual_rad.min(END_RAD).max(0.0))
         && (is_within(config) || !is_within(usual))
 }
 

@@ -21,7 +21,7 @@ const POSITION_GAIN_PER_S: f64 = 100.0;
 /// Largest angle between the usual pose at the start and another one, rad.
 const FOLDED_MAX_RAD: f64 = 1.0;
 /// Least distance of a joint from an end of its range at the start, rad.
-const END_RAD: f64 = 0.05;
+pub(super) const END_RAD: f64 = 0.05;
 /// Strongest quick stop that is tried as a gentle one, rad/s2.
 const QUICK_STOP_MAX_RAD_S2: f64 = 200.0;
 /// Steepest sheet along each side, mm for each mm.
