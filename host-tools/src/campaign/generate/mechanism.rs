@@ -176,8 +176,8 @@ fn search_farther(episode: &mut Episode) {
     }
 }
 
-/// Whether a robot reaches all of its sheet, and stands at its marks as it usually does: within its ranges, no nearer to their ends
-/// than a folded robot may stand or it usually does, and with the tool above the paper if it usually is.
+/// Whether a robot reaches all of its sheet, and stands at its marks as it usually does: within its ranges, joints no nearer to their
+/// ends than those of a folded robot may be or usually are, and with the tool above the paper if it usually is.
 fn is_usable(config: &Config, usual: &Config) -> bool {
     let area = WorkArea::new(&config.motion_settings());
     let drives = usize::from(config.bus.drives);
@@ -189,7 +189,10 @@ fn is_usable(config: &Config, usual: &Config) -> bool {
         core::array::from_fn::<f64, AXES, _>(room_rad)
     };
     let (rooms, usual_rooms) = (rooms_rad(config), rooms_rad(usual));
-    let mut axes = rooms.iter().zip(usual_rooms).take(drives);
+    let least_rad = |axis: usize| match motion(config.geometry.kind(), axis) {
+        Motion::Rotary => usual_rooms[axis].clamp(0.0, END_RAD),
+        Motion::Linear => 0.0,
+    };
     let is_within = |config: &Config| {
         let low_mm = config.paper.pen_down_z_mm + config.paper.pen_lift_mm;
         let marks = JointAngles(config.axes.each_ref().map(|axis| axis.sync_angle_rad));
@@ -197,7 +200,7 @@ fn is_usable(config: &Config, usual: &Config) -> bool {
         tool.is_ok_and(|tool| tool.is_ok_and(|tool| tool.z_mm >= low_mm))
     };
     area.is_ok_and(|area| checking::unreached(config, &area).is_none())
-        && axes.all(|(room_rad, usual_rad)| *room_rad >= usual_rad.min(END_RAD).max(0.0))
+        && (0..drives).all(|axis| rooms[axis] >= least_rad(axis))
         && (is_within(config) || !is_within(usual))
 }
 
