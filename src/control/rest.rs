@@ -6,9 +6,10 @@
 //! Invariant: a second increment in the same direction within [`STANDSTILL_MS`] is motion.
 
 use crate::config::Axis;
-use crate::control::sampler::STANDSTILL_MS;
 use core::f64::consts::TAU;
 
+/// How long an axis must be at rest, by its speed or between two increments, ms.
+pub const STANDSTILL_MS: u16 = 20;
 /// Speed below which an axis is at rest, rad/s.
 const STANDSTILL_RAD_S: f64 = 0.01;
 /// Largest step of an axis at rest, increments: one, and the rounding of angles.

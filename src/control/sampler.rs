@@ -28,6 +28,7 @@ use crate::control::path_stop::PathStop;
 use crate::control::pen_switch::PenSwitch;
 use crate::control::position::PositionController;
 use crate::control::rest::Rest;
+pub use crate::control::rest::STANDSTILL_MS;
 use crate::control::robot_axes::{AxisCommand, Demand, PositionDemand, RobotAxes};
 use crate::control::search::Search;
 use crate::control::supervision::{Observation, Supervision};
@@ -56,8 +57,6 @@ pub const OUTPUT_LATE_NS: u32 = 500_000;
 pub const FRAMES_PER_RUN: usize = 8;
 /// Samples between two releases of the trajectory task.
 pub const TRAJECTORY_PERIOD: u32 = crate::motion::PERIOD_MS as u32;
-/// How long an axis must be at rest, by its speed or between two increments, ms.
-pub const STANDSTILL_MS: u16 = 20;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
