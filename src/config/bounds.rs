@@ -32,7 +32,7 @@ impl Field {
             ..Config::default()
         };
         let scalars = config.scalars();
-        let axis = config.axes[0].scalars(0.0);
+        let axis = config.axes[0].scalars(0.0, 0);
         let row = usize::from(self.row);
         match self.axis {
             None => scalars.get(row).map_or("unknown", |bound| bound.name),
@@ -57,9 +57,12 @@ pub struct ConfigError {
 /// Longest motion without a measurement that any configuration may allow, ms: half a motor turn takes 10 ms.
 const BLIND_MAX_MS: f64 = 8.0;
 
-/// Longest time that a quick stop may take from an axis's highest speed, ms. The brakes close after
-/// `application::STANDSTILL_MAX_MS`, whether the axes are at rest or not.
+/// Longest time until an axis stands after a quick stop from its highest speed, ms, with that of a drive which hears of it only
+/// by its watchdog. The brakes close after `application::STANDSTILL_MAX_MS`, whether the axes are at rest or not.
 pub const QUICK_STOP_MAX_MS: u32 = 950;
+
+/// Longest watchdog of the drives, ms; a quick stop has the rest of [`QUICK_STOP_MAX_MS`].
+const WATCHDOG_MAX_MS: u16 = 500;
 
 /// Strongest quick stop of any axis, rad/s2.
 const QUICK_STOP_HIGHEST_RAD_S2: f64 = 2000.0;
@@ -121,14 +124,15 @@ impl Axis {
         ]
     }
 
-    /// Weakest quick stop that ends within [`QUICK_STOP_MAX_MS`], rad/s2, rounded up to hundredths. The highest speed
-    /// of the axis is its speed limit, or the speed of its search if that is higher, plus the correction that the controller adds before the following error becomes a
-    /// fault, at most the output limit.
-    fn quick_stop_min_rad_s2(&self, joint_speed_rad_s: f64) -> f64 {
+    /// Weakest quick stop that ends within [`QUICK_STOP_MAX_MS`] if it begins with the drives' watchdog, rad/s2, rounded up to
+    /// hundredths. The highest speed of the axis is its speed limit, or the speed of its search if that is higher, plus the
+    /// correction that the controller adds before the following error becomes a fault, at most the output limit.
+    fn quick_stop_min_rad_s2(&self, joint_speed_rad_s: f64, watchdog_ms: u16) -> f64 {
         let added = self.feedback_gain_per_s * self.following_error_max_rad;
         let search_rad_s = self.home.io.map_or(0.0, |_| self.home.speed_rad_s.abs());
         let fastest = (joint_speed_rad_s.max(search_rad_s) + added).min(self.output_max_rad_s);
-        let needed = fastest * 1_000.0 / f64::from(QUICK_STOP_MAX_MS);
+        let time_ms = QUICK_STOP_MAX_MS - u32::from(watchdog_ms.min(WATCHDOG_MAX_MS));
+        let needed = fastest * 1_000.0 / f64::from(time_ms);
         libm::ceil(needed * 100.0) / 100.0
     }
 
@@ -140,7 +144,7 @@ impl Axis {
         libm::floor(told.min(QUICK_STOP_HIGHEST_RAD_S2) * 100.0) / 100.0
     }
 
-    fn scalars(&self, joint_speed_rad_s: f64) -> [Bound; AXIS_BOUNDS] {
+    fn scalars(&self, joint_speed_rad_s: f64, watchdog_ms: u16) -> [Bound; AXIS_BOUNDS] {
         let [vendor, product, revision, alias, switch, serial] = self.identity_bounds(None);
         let [home_speed, home_latch, home_pull_off, home_travel] = self.home_bounds();
         [
@@ -192,7 +196,7 @@ impl Axis {
             bound(
                 "axes.quick_stop_rad_s2",
                 self.quick_stop_rad_s2,
-                self.quick_stop_min_rad_s2(joint_speed_rad_s).max(1.0),
+                self.quick_stop_min_rad_s2(joint_speed_rad_s, watchdog_ms).max(1.0),
                 self.quick_stop_max_rad_s2(),
             ),
             bound("axes.torque_constant_nm_a", self.torque_constant_nm_a, 0.001, 100.0),
@@ -250,7 +254,7 @@ impl Config {
         let kind = self.geometry.kind();
         check_rows(&self.scalars(), None, kind)?;
         for (axis, (values, speed_rad_s)) in (0u8..).zip(self.axes.iter().zip(self.motion.joint_speed_rad_s)) {
-            check_rows(&values.scalars(speed_rad_s), Some(axis), kind)?;
+            check_rows(&values.scalars(speed_rad_s, self.bus.watchdog_ms), Some(axis), kind)?;
             for other in self.axes.iter().take(axis.into()) {
                 check_rows(&values.identity_bounds(Some(other)), Some(axis), kind)?;
             }
@@ -290,7 +294,7 @@ impl Bus {
                 "bus.watchdog_ms",
                 f64::from(bus.watchdog_ms),
                 f64::from(bus.blind_max_ms) + 1.0,
-                1000.0,
+                f64::from(WATCHDOG_MAX_MS),
             ),
         ]
     }

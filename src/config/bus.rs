@@ -101,7 +101,8 @@ pub struct Bus {
     pub slaves: u8,
     /// Separate telegrams for inputs and outputs within a cycle, or one telegram for both with outputs one cycle later.
     pub exchange: ExchangeKind,
-    /// Sync manager watchdog of the drives, ms; longer than `blind_max_ms`.
+    /// Sync manager watchdog of the drives, ms; longer than `blind_max_ms`, at most 500. What is left of 950 ms is the longest
+    /// time of an axis's quick stop.
     pub watchdog_ms: u16,
     /// Longest time in motion without a valid measurement, or with outputs that a drive has not confirmed, ms.
     pub blind_max_ms: u16,

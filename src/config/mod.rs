@@ -282,15 +282,15 @@ mod tests {
             (error.field.name(), error.field.axis),
             ("axes.quick_stop_rad_s2", Some(1))
         );
-        // The output limit's 27 rad/s in 0.95 s.
-        assert!(error.low >= 27.0 / 0.95 && error.low < 29.0, "{error:?}");
+        // The output limit's 27 rad/s in 0.95 s less the watchdog's 10 ms.
+        assert!(error.low >= 27.0 / 0.94 && error.low < 29.0, "{error:?}");
         config.axes[1].quick_stop_rad_s2 = error.low;
         assert_eq!(config.check(), Ok(()), "the value that it names is enough");
         // A slow axis needs less: its own speed, and what its controller adds before the following error is a fault.
         config.motion.joint_speed_rad_s[1] = 0.5;
         config.axes[1].quick_stop_rad_s2 = 1.0;
         let error = config.check().unwrap_err();
-        assert!((error.low - 4.5 / 0.95).abs() < 0.01, "{error:?}");
+        assert!((error.low - 4.5 / 0.94).abs() < 0.01, "{error:?}");
         config.axes[1].following_error_max_rad = 0.001;
         config.axes[1].feedback_gain_per_s = 10.0;
         assert_eq!(config.check(), Ok(()));
@@ -437,14 +437,22 @@ mod tests {
         config.axes[0].quick_stop_rad_s2 = 20.0;
         let error = config.check().unwrap_err();
         assert_eq!(error.field.name(), "axes.quick_stop_rad_s2");
-        assert!((error.low - 20.0 / 0.95).abs() < 0.02, "{error:?}");
+        assert!((error.low - 20.0 / 0.94).abs() < 0.02, "{error:?}");
     }
 
     #[test]
-    fn the_watchdog_is_longer_than_the_blind_limit() {
+    fn the_watchdog_is_longer_than_the_blind_limit_and_leaves_time_for_the_quick_stop_behind_it() {
         let mut config = Config::default();
         config.bus.watchdog_ms = config.bus.blind_max_ms;
         assert_eq!(config.check().unwrap_err().field.name(), "bus.watchdog_ms");
+        config.bus.watchdog_ms = 501;
+        assert_eq!(config.check().unwrap_err().field.name(), "bus.watchdog_ms");
+        config.bus.watchdog_ms = 500;
+        config.axes[1].quick_stop_rad_s2 = 1.0;
+        let error = config.check().unwrap_err();
+        assert!(error.low >= 27.0 / 0.45 && error.low < 27.0 / 0.45 + 0.02, "{error:?}");
+        config.axes[1].quick_stop_rad_s2 = error.low;
+        assert_eq!(config.check(), Ok(()), "the value that it names is enough");
     }
 
     #[test]
