@@ -1,7 +1,7 @@
 //! A job log on a bad disk: whatever a file has become, a resumed drawing lacks no ink.
 
 use super::history::{HistoryEntry, Record, hash_text};
-use super::resume::{LastPart, MachineState, last, last_part_in, plan};
+use super::resume::{LastPart, MachineState, last, last_part_in, named_in, plan};
 use super::{path_hash, resume};
 use crate::random::Random;
 use etherpen::config::Config;
@@ -153,6 +153,38 @@ fn an_entry_with_any_damaged_byte_or_cut_at_any_length_costs_no_ink() {
         }
     }
     println!("{resumed} damaged entries were resumed");
+}
+
+#[test]
+fn an_entry_with_a_damaged_number_and_any_damaged_byte_in_its_last_lines_costs_no_ink() {
+    let log = Log::new("twice");
+    let place = |text: &[u8]| log.whole.windows(text.len()).position(|bytes| bytes == text);
+    let (number, check) = (place(b"\"executed\": 30"), place(b",\n  \"check\""));
+    let (number, check) = (number.expect("a number") + 12, check.expect("a hash"));
+    for place in check..log.whole.len() {
+        for change in 1..=255 {
+            let mut bytes = log.whole.clone();
+            // 30 becomes 70: nothing after the fifth stroke would be drawn.
+            bytes[number] ^= b'3' ^ b'7';
+            bytes[place] ^= change;
+            assert_eq!(log.resumed(&bytes), None, "byte {place} changed by {change:#x}");
+        }
+    }
+}
+
+#[test]
+fn a_damaged_entry_is_told_by_its_name_and_by_the_beginning_of_it() {
+    let log = Log::new("prefix");
+    let name = log.newest.file_stem().expect("a name").to_string_lossy().into_owned();
+    assert_eq!(named_in(&log.folder, &name[..13]).expect("found").name(), name);
+    fs::write(&log.newest, &log.whole[1..]).expect("the entry");
+    for asked in [name.as_str(), &name[..13]] {
+        let refused = named_in(&log.folder, asked).unwrap_err().message;
+        assert!(refused.contains(&name) && refused.contains("damaged"), "{refused}");
+    }
+    // Both jobs begin with nothing.
+    assert!(named_in(&log.folder, "").unwrap_err().message.contains("2 jobs"));
+    assert!(named_in(&log.folder, "9").unwrap_err().message.contains("no job"));
 }
 
 #[test]

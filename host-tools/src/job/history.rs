@@ -25,8 +25,9 @@ const AFTER_CHECK: &str = "\"\n}";
 /// The end of an entry's lines.
 const END: &str = "\n}";
 
-/// One drawing.
+/// One drawing. An unknown field is refused: it may be one with a damaged name.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct HistoryEntry {
     /// Start time, s since 1970.
     pub begun_unix_s: u64,
@@ -167,12 +168,12 @@ fn checked(lines: &str) -> String {
 /// The entry of a file's bytes; `None` if they are damaged. A file of a program that wrote no hash is taken as it is.
 fn entry_of(bytes: &[u8]) -> Option<HistoryEntry> {
     let text = std::str::from_utf8(bytes).ok()?;
-    if let Some((body, _)) = text.rsplit_once(CHECK)
-        && checked(&format!("{body}{END}")) != text
-    {
-        return None;
-    }
-    serde_json::from_str(text).ok()
+    let Some((body, _)) = text.rsplit_once(CHECK) else {
+        return serde_json::from_str(text).ok();
+    };
+    let lines = format!("{body}{END}");
+    let is_whole = checked(&lines) == text;
+    is_whole.then(|| serde_json::from_str(&lines).ok()).flatten()
 }
 
 /// The folder of the log.
@@ -225,20 +226,24 @@ pub fn list(folder: &Path) -> io::Result<Vec<Record>> {
     Ok(records.collect())
 }
 
-/// The name of the newest drawing of this path whose file cannot be read or is damaged, if any.
+/// The names of the drawings whose files cannot be read or are damaged, the oldest first.
 ///
 /// # Errors
 /// The folder cannot be read; a folder that does not exist is an empty log.
+pub fn damaged(folder: &Path) -> io::Result<Vec<String>> {
+    let mut files = files(folder)?;
+    files.retain(|path| fs::read(path).map_or(true, |bytes| entry_of(&bytes).is_none()));
+    let name = |path: PathBuf| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    Ok(files.into_iter().map(name).collect())
+}
+
+/// The name of the newest damaged drawing of this path, if any.
+///
+/// # Errors
+/// As for [`damaged`].
 pub fn newest_damaged(folder: &Path, path_hash: &str) -> io::Result<Option<String>> {
     let of_path = format!("-{path_hash}-");
-    let name = |path: &PathBuf| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let is_damaged = |path: &PathBuf| fs::read(path).map_or(true, |bytes| entry_of(&bytes).is_none());
-    let files = files(folder)?;
-    let mut damaged = files
-        .iter()
-        .rev()
-        .filter(|path| name(path).contains(&of_path) && is_damaged(path));
-    Ok(damaged.next().map(name))
+    Ok(damaged(folder)?.into_iter().rfind(|name| name.contains(&of_path)))
 }
 
 /// The files of all drawings, the oldest first; none in a folder that does not exist.

@@ -135,12 +135,6 @@ fn unreadable(cause: io::Error) -> ProgramError {
     ProgramError::failed("the log of jobs cannot be read", cause)
 }
 
-fn records() -> Result<Vec<Record>, ProgramError> {
-    history::folder()
-        .and_then(|folder| history::list(&folder))
-        .map_err(unreadable)
-}
-
 /// The jobs of this path in a log, of which the first is the one to resume unless the firmware holds another one.
 ///
 /// # Errors
@@ -174,17 +168,28 @@ fn damaged_entry(name: &str) -> ProgramError {
 /// The logged job with this name, or the only one whose name starts with it.
 ///
 /// # Errors
-/// There is none, or several.
+/// There is none, or several, or it is damaged.
 pub fn named(name: &str) -> Result<Record, ProgramError> {
-    let mut found = records()?;
+    named_in(&history::folder().map_err(unreadable)?, name)
+}
+
+/// The job of a log with this name.
+pub(super) fn named_in(folder: &Path, name: &str) -> Result<Record, ProgramError> {
+    let mut found = history::list(folder).map_err(unreadable)?;
+    let mut damaged = history::damaged(folder).map_err(unreadable)?;
     found.retain(|record| record.name().starts_with(name));
+    damaged.retain(|damaged| damaged.starts_with(name));
     if let Some(exact) = found.iter().position(|record| record.name() == name) {
         return Ok(found.swap_remove(exact));
     }
-    match found.as_slice() {
-        [record] => Ok(record.clone()),
-        found => {
-            let known = match found.len() {
+    if let Some(exact) = damaged.iter().find(|damaged| *damaged == name) {
+        return Err(damaged_entry(exact));
+    }
+    match (found.as_slice(), damaged.as_slice()) {
+        ([record], []) => Ok(record.clone()),
+        ([], [damaged]) => Err(damaged_entry(damaged)),
+        (found, damaged) => {
+            let known = match found.len() + damaged.len() {
                 0 => "no job".to_owned(),
                 several => format!("{several} jobs"),
             };

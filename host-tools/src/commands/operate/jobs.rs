@@ -2,7 +2,7 @@
 
 use crate::commands::print_json;
 use crate::error::ProgramError;
-use crate::job::history::{HistoryEntry, Record, folder, list};
+use crate::job::history::{HistoryEntry, Record, damaged, folder, list};
 use crate::terminal::counted;
 use serde::Serialize;
 
@@ -22,9 +22,12 @@ pub struct Arguments {
 /// # Errors
 /// The log cannot be read.
 pub(super) fn run(arguments: &Arguments) -> Result<(), ProgramError> {
-    let records = folder()
-        .and_then(|folder| list(&folder))
+    let (records, damaged) = folder()
+        .and_then(|folder| Ok((list(&folder)?, damaged(&folder)?)))
         .map_err(|cause| ProgramError::failed("the log of jobs cannot be read", cause))?;
+    for name in &damaged {
+        eprintln!("the entry {name} is damaged and cannot be resumed");
+    }
     let mut entries: Vec<ListedJob> = records.into_iter().map(ListedJob::from).collect();
     if arguments.newest > 0 {
         let first = entries.len().saturating_sub(arguments.newest);
@@ -33,7 +36,7 @@ pub(super) fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     if arguments.json {
         return print_json(&entries);
     }
-    if entries.is_empty() {
+    if entries.is_empty() && damaged.is_empty() {
         eprintln!("nothing was drawn yet");
     }
     for entry in &entries {
