@@ -1,5 +1,8 @@
 //! `etherpen config`: a new configuration file, checks of one, and the values in effect with the source of each.
 
+mod scan;
+
+use super::bus::WayArguments;
 use super::ports::OptionalPort;
 use super::{ConfigArguments, print_json};
 use crate::axes::{self, Motion};
@@ -38,6 +41,7 @@ enum Command {
     ///
     /// Asks on a terminal for everything that no option tells, and takes the bundled machine's value for an empty answer.
     /// Not on a terminal, --kind is needed, and what no option tells is the bundled machine's.
+    /// With --scan the axes get the drives of the bus, in its order.
     New(New),
 }
 
@@ -90,6 +94,12 @@ struct New {
     /// Number of drives (etherpen bus scan lists them).
     #[arg(long, value_name = "NUMBER")]
     drives: Option<usize>,
+    /// Look at the bus, and write its drives into the file: vendor, product, and what tells equal ones apart. The bus is reached by
+    /// --interface, --udp, --unix or --port. Slaves of an unknown product are asked for their type, in PREOP for that time.
+    #[arg(long)]
+    scan: bool,
+    #[command(flatten)]
+    way: WayArguments,
     /// Overwrite the file.
     #[arg(long)]
     force: bool,
@@ -236,13 +246,31 @@ fn new_file(arguments: &New) -> Result<(), ProgramError> {
         pitch_mm: arguments.pitch,
         gear: arguments.gear,
         drives: arguments.drives,
+        chain: Vec::new(),
     };
+    if arguments.scan {
+        // A board that has no configuration needs one to look at its bus.
+        let config = starting::compose(kind, &wishes)
+            .and_then(|text| reading::configuration(&text).map_err(|cause| cause.to_string()))
+            .map_err(usage)?;
+        wishes.chain = scan::chain(&mut *arguments.way.open(&config)?)?;
+        if wishes.chain.is_empty() {
+            return Err(ProgramError::new(code::FAILED, "there is no slave on the bus"));
+        }
+    } else if let Some(option) = arguments.way.other() {
+        return Err(usage(format!(
+            "{option} is the way to the bus that --scan looks at; add --scan"
+        )));
+    }
     if asks {
         ask(kind, &mut wishes)?;
     }
     let text = starting::compose(kind, &wishes).map_err(usage)?;
     crate::output_file::write(&arguments.file, text.as_bytes())
         .map_err(|cause| ProgramError::failed(format!("{shown} cannot be written"), cause))?;
+    for note in starting::notes(&text, &wishes.chain).iter().filter(|_| arguments.scan) {
+        eprintln!("{note}");
+    }
     eprintln!(
         "Written: {shown}. Compare every line with your machine, then: etherpen config check {shown}; etherpen simulate FILE \
          --config {shown}"
@@ -294,7 +322,7 @@ fn ask(kind: Kind, wishes: &mut Wishes) -> Result<(), ProgramError> {
     if wishes.gear.is_none() {
         wishes.gear = figure("motor turns for one turn of the joint, pulley or screw", usual.gear)?;
     }
-    if wishes.drives.is_none() {
+    if wishes.drives.is_none() && wishes.chain.is_empty() {
         let drives = usual.drives.map(|drives| drives as f64);
         wishes.drives = figure("number of drives", drives)?.map(|drives| drives as usize);
     }

@@ -1,9 +1,13 @@
-//! A first configuration file out of what a machine's owner has: kind, sizes, pitch or gear, number of drives.
+//! A first configuration file out of what a machine's owner has: kind, sizes, pitch or gear, drives.
 //!
 //! The file is the bundled machine of the same kind with its comments, and other numbers. Work area and sheet follow the
 //! sizes.
 //!
 //! Invariant: the text has no error of [`check`], or none is returned.
+
+mod chain;
+
+pub use chain::{Found, notes};
 
 use super::checking::{Gravity, check};
 use super::machines::MACHINES;
@@ -96,6 +100,8 @@ pub struct Wishes {
     pub gear: Option<f64>,
     /// Number of drives.
     pub drives: Option<usize>,
+    /// The slaves of the machine's bus, if it was scanned.
+    pub chain: Vec<Found>,
 }
 
 /// The numbers of the bundled machine of a kind: its sizes, pitch, gear and drives.
@@ -124,6 +130,7 @@ pub fn usual(kind: Kind) -> Wishes {
         pitch_mm: of_axis("pitch_mm").filter(|_| has_linear),
         gear: Some(of_axis("gear").unwrap_or(1.0)),
         drives: axes.map(toml_edit::ArrayOfTables::len),
+        chain: Vec::new(),
     }
 }
 
@@ -163,6 +170,9 @@ pub fn compose(kind: Kind, wishes: &Wishes) -> Result<String, String> {
         resize(&mut document, kind, sizes_mm);
     }
     set_axes(&mut document, kind, wishes)?;
+    if !wishes.chain.is_empty() {
+        chain::write(&mut document, &wishes.chain);
+    }
     let text = document.to_string();
     let errors: Vec<String> = check(&text)
         .iter()
@@ -289,6 +299,20 @@ fn sheet(document: &mut DocumentMut, centre_mm: [f64; 2], side_mm: f64) {
     set(document.get_mut("paper"), "size_mm", range([side_mm, side_mm]));
 }
 
+/// The number of drives that the file uses: what is wished, or else those of the chain that the kind has axes for.
+fn used_drives(wishes: &Wishes, axes: usize) -> Result<Option<usize>, String> {
+    if wishes.chain.is_empty() {
+        return Ok(wishes.drives);
+    }
+    let found = chain::drives(&wishes.chain).count();
+    match wishes.drives {
+        _ if found == 0 => Err("no drive was found on the bus".into()),
+        Some(drives) if drives > found => Err(format!("{drives} drives are asked for, and {found} drives were found")),
+        None => Ok(Some(found.min(axes))),
+        drives => Ok(drives),
+    }
+}
+
 /// Writes pitch and gear, and as many axes as there are drives. The gear is that of [`geared`] axes.
 fn set_axes(document: &mut DocumentMut, kind: Kind, wishes: &Wishes) -> Result<(), String> {
     let has_linear = motions(kind).contains(&Motion::Linear);
@@ -305,7 +329,7 @@ fn set_axes(document: &mut DocumentMut, kind: Kind, wishes: &Wishes) -> Result<(
         }
     }
     let Some(axes) = axes else { return Ok(()) };
-    if let Some(drives) = wishes.drives {
+    if let Some(drives) = used_drives(wishes, axes.len())? {
         if !(2..=axes.len()).contains(&drives) {
             return Err(format!(
                 "{drives} drives: this program writes a {} with up to {}; write further [[axes]] yourself",

@@ -1,7 +1,12 @@
 //! Output of the program about itself: its configuration, completions and manual pages.
 
-use crate::program::{Folder, etherpen, run};
+use crate::program::{Folder, PATIENCE, etherpen, run};
+use crate::segment::Segment;
+use etherpen::robot_bus::RobotBusSetup;
+use etherpen_segment::transport::{self, Endpoint};
 use host_tools::error::code;
+use host_tools::master::Master;
+use host_tools::settings::reading;
 use std::fs;
 
 #[test]
@@ -108,6 +113,60 @@ fn a_new_configuration_passes_the_check_and_is_not_overwritten() {
     let (status, _, stderr) = run(etherpen(&folder).args(["config", "new", "other.toml"]));
     assert_eq!(status, Some(i32::from(code::USAGE)));
     assert!(stderr.contains("--kind") && stderr.contains("linear-delta"), "{stderr}");
+}
+
+#[test]
+fn a_new_configuration_has_the_drives_of_the_bus_and_brings_them_up() {
+    let folder = Folder::new();
+    let socket = folder.join("bus");
+    let slaves = "ek1100,el1008,ax2000@serial=4,cia402@serial=8,cia402@serial=5";
+    let start = |slaves: &str| {
+        Segment::start(
+            etherpen(&folder)
+                .args(["segment", "--slaves", slaves, "--unix"])
+                .arg(&socket),
+        )
+    };
+    let new = ["config", "new", "--kind", "gantry", "--force", "--unix", "bus"];
+    let (status, _, stderr) = run(etherpen(&folder).args(new));
+    assert_eq!(status, Some(i32::from(code::USAGE)));
+    assert!(stderr.contains("add --scan"), "{stderr}");
+
+    let segment = start(slaves);
+    let (status, _, stderr) = run(etherpen(&folder).args(new).arg("--scan"));
+    assert_eq!(status, Some(0), "{stderr}");
+    let scan = ["bus", "scan", "--unix", "bus", "--json"];
+    let (status, stdout, stderr) = run(etherpen(&folder).args(scan));
+    assert_eq!(status, Some(0), "{stderr}");
+    let scan: serde_json::Value = serde_json::from_str(&stdout).expect("JSON");
+    let text = fs::read_to_string(folder.join("etherpen.toml")).expect("a file");
+    let config = reading::configuration(&text).expect("a configuration");
+    for (axis, slave) in config.axes.iter().zip(2..5) {
+        let slave = &scan["slaves"][slave];
+        assert_eq!(
+            (&slave["vendor"], &slave["product"]),
+            (&axis.vendor.into(), &axis.product.into())
+        );
+        assert_eq!(slave["al_state"], "INIT", "as it was: {slave}");
+    }
+    assert_eq!([0, 1, 2].map(|axis| config.axes[axis].serial), [0, 8, 5]);
+    let setup = RobotBusSetup {
+        watchdog_ms: 1_000,
+        ..config.bus_setup()
+    };
+    let transport = transport::open(&Endpoint::Unix(socket.clone())).expect("the segment listens");
+    let master = Master::start(transport, setup, PATIENCE).expect("the drives of the file are there");
+    assert!(master.counters().frames_sent > 0);
+    drop(master);
+    segment.end();
+
+    let segment = start("ek1100,el1008");
+    let (status, _, stderr) = run(etherpen(&folder).args(new).arg("--scan"));
+    assert_eq!(status, Some(i32::from(code::USAGE)));
+    assert!(stderr.contains("no drive was found"), "{stderr}");
+    segment.end();
+    let kept = fs::read_to_string(folder.join("etherpen.toml")).expect("a file");
+    assert_eq!(kept, text, "a scan that fails leaves the file");
 }
 
 #[test]

@@ -13,6 +13,7 @@ use crate::bus::connection;
 use crate::bus::objects::parse_object;
 use crate::bus::value::Type;
 use crate::error::{ProgramError, code};
+use etherpen::config::Config;
 use etherpen::ethercat::state::AlState;
 use etherpen::ethercat::wire::coe::Object;
 use etherpen_segment::transport::{Endpoint, udp_address};
@@ -41,7 +42,7 @@ pub struct Arguments {
 
 /// How to reach the bus: one of these.
 #[derive(clap::Args, Debug)]
-struct WayArguments {
+pub(super) struct WayArguments {
     /// Run the master on this computer, with raw frames on this network interface; needs permission for raw sockets.
     #[arg(long, value_name = "IF", global = true)]
     interface: Option<String>,
@@ -216,25 +217,32 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         _ => Vec::new(),
     };
     let config = arguments.config.load()?;
-    let way = &arguments.way;
-    let port = way.port.unless(way.other())?;
-    let mut access = match (port, way.endpoint()) {
-        (Some(port), _) => {
-            let firmware = connection::firmware(&port, &config)?;
-            if let Some(owner) = &firmware.owner {
-                eprintln!("through {owner}");
-            }
-            firmware.access
-        }
-        (None, Ok(endpoint)) => connection::own_master(&endpoint)?,
-        (None, Err(why)) => return Err(ProgramError::new(code::USAGE, why)),
-    };
+    let mut access = arguments.way.open(&config)?;
     act(&mut *access, &arguments.action, &written, arguments.json)
 }
 
 impl WayArguments {
+    /// Opens the way. A firmware without a configuration gets `config`.
+    ///
+    /// # Errors
+    /// Wrong usage, or no connection.
+    pub(super) fn open(&self, config: &Config) -> Result<Box<dyn BusAccess>, ProgramError> {
+        let port = self.port.unless(self.other())?;
+        match (port, self.endpoint()) {
+            (Some(port), _) => {
+                let firmware = connection::firmware(&port, config)?;
+                if let Some(owner) = &firmware.owner {
+                    eprintln!("through {owner}");
+                }
+                Ok(firmware.access)
+            }
+            (None, Ok(endpoint)) => connection::own_master(&endpoint),
+            (None, Err(why)) => Err(ProgramError::new(code::USAGE, why)),
+        }
+    }
+
     /// The option beside --port that selects the way to the bus, if one is given.
-    fn other(&self) -> Option<&'static str> {
+    pub(super) fn other(&self) -> Option<&'static str> {
         let interface = self.interface.as_ref().map(|_| "--interface");
         interface
             .or(self.udp.map(|_| "--udp"))
