@@ -26,7 +26,7 @@ fn config() -> Config {
     let mut config = Config::default();
     config.bus.transport = Transport::Udp;
     config.bus.segment = Ipv4Addr::new(10, 0, 2, 2);
-    config.bus.watchdog_ms = 1_000;
+    config.bus.watchdog_ms = 500;
     config.bus.blind_max_ms = 8;
     config
 }

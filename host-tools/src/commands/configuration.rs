@@ -95,7 +95,8 @@ struct New {
     #[arg(long, value_name = "NUMBER")]
     drives: Option<usize>,
     /// Look at the bus, and write its drives into the file: vendor, product, and what tells equal ones apart. The bus is reached by
-    /// --interface, --udp, --unix or --port. Slaves of an unknown product are asked for their type, in PREOP for that time.
+    /// --interface, --udp, --unix or --port. Slaves of an unknown product are asked for their type, in PREOP for that time. A board
+    /// without a configuration gets that of the kind, and brings its bus up.
     #[arg(long)]
     scan: bool,
     #[command(flatten)]

@@ -489,7 +489,7 @@ mod tests {
         config.axes[2].quick_stop_rad_s2 = 1.0;
         let text = config_error(&config.check().unwrap_err());
         assert!(
-            text.starts_with("axes.quick_stop_rad_s2 of axis 3 is 1, allowed is 28.43 to 2000; the axis must stop"),
+            text.starts_with("axes.quick_stop_rad_s2 of axis 3 is 1, allowed is 28.73 to 2000; the axis must stop"),
             "{text}"
         );
     }

@@ -2,20 +2,22 @@
 
 use crate::bus::access::{self, AccessError, BusAccess};
 use crate::bus::slaves::{self, SlaveView};
-use crate::error::ProgramError;
+use crate::error::{ProgramError, code};
+use crate::link::text::bus::al_state;
 use crate::settings::starting::Found;
 use etherpen::drives::drive_kind_by_type;
+use etherpen::ethercat::diagnostics::ServiceError;
+use etherpen::ethercat::error::BusError;
 use etherpen::ethercat::state::AlState;
 use etherpen::ethercat::wire::coe::Object;
 
 /// The object in which a slave tells its device type.
 const DEVICE_TYPE: Object = Object { index: 0x1000, sub: 0 };
 
-/// Reads all slaves. One of an unknown product is asked for its device type, for which it has to be in PREOP at least; it is brought
-/// back to INIT if it was there.
+/// Reads all slaves. One of an unknown product in INIT is asked for its device type, for which it is brought to PREOP, and back.
 ///
 /// # Errors
-/// The bus refused a request or was lost.
+/// The bus refused a request or was lost; a slave could not be asked.
 pub(super) fn chain(access: &mut dyn BusAccess) -> Result<Vec<Found>, ProgramError> {
     let view = slaves::read(access, None)?;
     let found = |slave: SlaveView| {
@@ -40,24 +42,41 @@ fn is_drive(access: &mut dyn BusAccess, slave: &SlaveView) -> Result<bool, Progr
         return Ok(false);
     }
     let number = slave.slave;
-    if !slave.has_objects() && !accepted(access::set_state(access, number, AlState::PreOperational))? {
-        return Ok(false);
-    }
-    let told = match access::upload(access, number, DEVICE_TYPE, false) {
-        Ok(bytes) => bytes.first_chunk().copied().map(u32::from_le_bytes),
-        Err(AccessError::Lost(error)) => return Err(error),
-        Err(_) => None,
+    let unknown = |cause: ProgramError| {
+        let text = format!(
+            "slave {number} ({}) does not tell whether it is a drive: {}; nothing was written",
+            slave.name, cause.message
+        );
+        ProgramError::new(cause.code, text)
     };
-    if !slave.has_objects() {
-        accepted(access::set_state(access, number, AlState::Init))?;
+    if slave.has_objects() {
+        return asked(access, number).map_err(unknown);
     }
-    Ok(told.and_then(drive_kind_by_type).is_some())
+    if slave.state.al_status & 0x0F != AlState::Init as u8 {
+        let state = al_state(slave.state.al_status);
+        return Err(unknown(ProgramError::new(code::FAILED, format!("it is in {state}"))));
+    }
+    let reached = reach(access, number, AlState::PreOperational);
+    let told = reached.and_then(|()| asked(access, number));
+    // Also where it has not told.
+    let back = reach(access, number, AlState::Init);
+    let told = told.map_err(unknown)?;
+    back.map(|()| told)
 }
 
-/// Whether the slave did what was asked; a bus that is lost is an error.
-fn accepted<T>(answer: Result<T, AccessError>) -> Result<bool, ProgramError> {
-    match answer {
-        Err(AccessError::Lost(error)) => Err(error),
-        answer => Ok(answer.is_ok()),
+/// Whether a slave with objects says that it is a drive. One without the object is none.
+fn asked(access: &mut dyn BusAccess, slave: u8) -> Result<bool, ProgramError> {
+    match access::upload(access, slave, DEVICE_TYPE, false) {
+        Ok(bytes) => {
+            let told = bytes.first_chunk().copied().map(u32::from_le_bytes);
+            Ok(told.and_then(drive_kind_by_type).is_some())
+        }
+        Err(AccessError::Refused(ServiceError::Bus(BusError::SdoAbort { .. }))) => Ok(false),
+        Err(error) => Err(error.into()),
     }
+}
+
+fn reach(access: &mut dyn BusAccess, slave: u8, state: AlState) -> Result<(), ProgramError> {
+    let report = access::set_state(access, slave, state)?;
+    slaves::require_state(slave, state, report)
 }

@@ -32,9 +32,12 @@ impl Found {
     }
 }
 
+/// A number of a drive.
+type Number = fn(&Found) -> u32;
+
 /// What tells equal drives apart: the first of these that all of them have, each with another number. What stays with the
 /// place when a drive is replaced comes first.
-const MARKS: [(&str, fn(&Found) -> u32); 3] = [
+const MARKS: [(&str, Number); 3] = [
     ("switch", |found| found.switch.into()),
     ("alias", |found| found.alias.into()),
     ("serial", |found| found.serial),
@@ -49,10 +52,10 @@ fn is_equal(one: &Found, other: &Found) -> bool {
     (one.vendor, one.product) == (other.vendor, other.product)
 }
 
-/// What tells a drive from the equal ones among the drives that are used; `None` if it needs nothing, or nothing does.
-fn mark(of: &Found, used: &[&Found]) -> Option<(&'static str, u32)> {
-    let equal: Vec<&Found> = used.iter().copied().filter(|found| is_equal(found, of)).collect();
-    let tells_apart = |number: fn(&Found) -> u32| {
+/// What tells a drive from the equal ones of the chain, with those that no axis uses; `None` if it needs nothing, or nothing does.
+fn mark(of: &Found, chain: &[Found]) -> Option<(&'static str, u32)> {
+    let equal: Vec<&Found> = drives(chain).filter(|found| is_equal(found, of)).collect();
+    let tells_apart = |number: Number| {
         let mut numbers: Vec<u32> = equal.iter().map(|found| number(found)).collect();
         numbers.sort_unstable();
         numbers.dedup();
@@ -76,7 +79,7 @@ pub(super) fn write(document: &mut DocumentMut, chain: &[Found]) {
                 axis.insert(key, Item::Value(value));
             }
         }
-        if let Some((key, number)) = mark(drive, &used) {
+        if let Some((key, number)) = mark(drive, chain) {
             axis.insert(key, toml_edit::value(i64::from(number)));
         }
     }
@@ -120,7 +123,8 @@ pub fn notes(text: &str, chain: &[Found]) -> Vec<String> {
     if count > axes {
         notes.push(format!("the chain has {count} drives; the file uses the first {axes}"));
     }
-    if let Some((first, _)) = pairs(&used).find(|(one, other)| is_equal(one, other) && mark(one, &used).is_none()) {
+    let is_alone = |one: &Found| drives(chain).filter(|other| is_equal(one, other)).count() == 1;
+    if let Some(first) = used.iter().find(|one| !is_alone(one) && mark(one, chain).is_none()) {
         notes.push(format!(
             "nothing tells the drives {} apart: give each an alias or another number of its switches, so that exchanged cables are \
              noticed",
@@ -142,15 +146,6 @@ pub fn notes(text: &str, chain: &[Found]) -> Vec<String> {
         }
     }
     notes
-}
-
-/// Each two drives.
-fn pairs<'f>(used: &'f [&'f Found]) -> impl Iterator<Item = (&'f Found, &'f Found)> {
-    let with_later = |(place, one): (usize, &'f &'f Found)| {
-        let later = used.iter().skip(place + 1);
-        later.map(move |other| (*one, *other))
-    };
-    used.iter().enumerate().flat_map(with_later)
 }
 
 #[cfg(test)]
@@ -237,6 +232,11 @@ mod tests {
         assert_eq!(marked(|found, number| found.alias = number / 2), [(0, 0, 5), (0, 0, 6)]);
         let alike = marked(|found, _| found.serial = 0);
         assert_eq!(alike, [(0, 0, 0); 2]);
+        // One that no axis uses may be plugged into the place of one that is used.
+        let chain = [drive(5), drive(6), drive(7)];
+        let text = composed(Kind::CoreXy, &chain, Some(2)).expect("a file");
+        let serials = configuration(&text).expect("valid").axes.map(|axis| axis.serial);
+        assert_eq!(serials[..2], [5, 6]);
     }
 
     #[test]
