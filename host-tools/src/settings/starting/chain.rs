@@ -1,6 +1,6 @@
 //! What a scan of the bus tells a configuration: how many drives there are, what they are, and where the terminals stand.
 
-use toml_edit::{DocumentMut, Item, TableLike, Value};
+use toml_edit::{DocumentMut, Item, Table, TableLike, Value};
 
 /// A slave that a scan has found.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
@@ -31,6 +31,9 @@ impl Found {
         }
     }
 }
+
+/// How the line of a sample begins that names the sample's own chain.
+const SAMPLE_CHAIN: &str = "# The chain:";
 
 /// A number of a drive.
 type Number = fn(&Found) -> u32;
@@ -93,6 +96,38 @@ pub(super) fn write(document: &mut DocumentMut, chain: &[Found]) {
         toml_edit::value(i64::try_from(chain.len()).unwrap_or(i64::MAX)),
     );
     comment(bus, chain);
+    terminals(document, chain);
+}
+
+/// Says at each input and output of the kind's sample what is wrong with its place in this chain, instead of the sample's chain.
+fn terminals(document: &mut DocumentMut, chain: &[Found]) {
+    let tables = document.get_mut("io").and_then(Item::as_array_of_tables_mut);
+    for table in tables.into_iter().flat_map(toml_edit::ArrayOfTables::iter_mut) {
+        let misplaced = misplaced(table, chain);
+        let decor = table.decor_mut();
+        let comments = decor.prefix().and_then(toml_edit::RawString::as_str).unwrap_or("");
+        let mut lines: Vec<String> = comments
+            .lines()
+            .filter(|line| !line.starts_with(SAMPLE_CHAIN))
+            .map(str::to_owned)
+            .collect();
+        lines.extend(misplaced.map(|cause| format!("# {cause}")));
+        decor.set_prefix(lines.join("\n") + "\n");
+    }
+}
+
+/// What is wrong with the place of an input or output: nothing stands there, or a drive.
+fn misplaced(io: &Table, chain: &[Found]) -> Option<String> {
+    let place = io.get("slave").and_then(Item::as_integer)?;
+    let name = io.get("name").and_then(Item::as_str)?;
+    match usize::try_from(place).ok().and_then(|place| chain.get(place)) {
+        None => Some(format!("{name}: the chain has no slave in place {place}")),
+        Some(found) if found.is_drive => Some(format!(
+            "{name}: in place {place} of the chain is a drive, {}; write the place of its terminal",
+            found.printable()
+        )),
+        Some(_) => None,
+    }
 }
 
 /// Names the chain above the number of its slaves.
@@ -131,20 +166,8 @@ pub fn notes(text: &str, chain: &[Found]) -> Vec<String> {
             first.printable()
         ));
     }
-    for io in tables("io").into_iter().flat_map(|tables| tables.iter()) {
-        let place = io.get("slave").and_then(Item::as_integer);
-        let (Some(place), Some(name)) = (place, io.get("name").and_then(Item::as_str)) else {
-            continue;
-        };
-        match usize::try_from(place).ok().and_then(|place| chain.get(place)) {
-            None => notes.push(format!("{name}: the chain has no slave in place {place}")),
-            Some(found) if found.is_drive => notes.push(format!(
-                "{name}: in place {place} of the chain is a drive, {}; write the place of its terminal",
-                found.printable()
-            )),
-            Some(_) => {}
-        }
-    }
+    let io = tables("io").into_iter().flat_map(toml_edit::ArrayOfTables::iter);
+    notes.extend(io.filter_map(|io| misplaced(io, chain)));
     notes
 }
 
@@ -248,6 +271,10 @@ mod tests {
         assert!(told("has 4 drives; the file uses the first 3"), "{notes:?}");
         assert!(told("nothing tells the drives Drive apart"), "{notes:?}");
         assert!(told("x_home: in place 1 of the chain is a drive"), "{notes:?}");
+        let at_the_place = "# x_home: in place 1 of the chain is a drive, Drive; write the place of its terminal\n\
+             [[io]]\nname = \"x_home\"";
+        assert!(text.contains(at_the_place) && !text.contains("EK1100"), "{text}");
+        assert!(text.contains("# Home switches are closed"), "{text}");
         assert!(
             super::notes(&text, &chain[..1])
                 .iter()
