@@ -361,6 +361,25 @@ pub fn ensure_portraits() -> Result<PathBuf, SetupError> {
     )
 }
 
+/// The judge of faces' points, for Python 3.9 to 3.12, and what its mesh imports; the rest of what it asks for is never used.
+const MESH: [(&str, &[&str]); 7] = [
+    ("numpy==2.1.3", &[]),
+    ("opencv-python-headless==4.10.0.84", &[]),
+    ("matplotlib==3.10.3", &[]),
+    ("protobuf==4.25.9", &[]),
+    ("absl-py==2.5.1", &[]),
+    ("flatbuffers==25.12.19", &["attrs==26.1.0"]),
+    ("mediapipe==0.10.14", &["--no-deps"]),
+];
+
+/// A Python with the judge of faces' points, in a separate folder below the target folder; installed if it is missing.
+///
+/// # Errors
+/// What is missing and how to get it.
+pub fn ensure_mesh() -> Result<PathBuf, SetupError> {
+    ensure_packages("mesh", "from mediapipe.python.solutions import face_mesh", &MESH, "")
+}
+
 /// A Python with `module` from the given version of PyPI's `package`.
 fn ensure_python(module: &str, package: &str, otherwise: &str) -> Result<PathBuf, SetupError> {
     ensure_packages(module, &format!("import {module}"), &[(package, &[])], otherwise)

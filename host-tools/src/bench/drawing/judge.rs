@@ -1,17 +1,21 @@
-//! The independent judge of portraits: whether a drawing shows a face, and whose.
+//! The independent judges of portraits: whether a drawing shows a face, and whose.
 //!
 //! dlib compares faces by 128 numbers. A drawing's distance to its photograph alone says little, because a drawing is far
-//! from every photograph; how much nearer it is to its own than to other people's is the figure.
+//! from every photograph; how much nearer it is to its own than to other people's is the figure. mediapipe finds the places of
+//! eyes, nose, mouth and outline; how far they are from the photograph's is the figure.
 
 use super::failed;
 use crate::bench::BenchError;
+use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
-/// The judge.
+/// dlib's judge.
 const JUDGE: &str = include_str!("judge.py");
+/// mediapipe's.
+const MESH: &str = include_str!("mesh.py");
 
 /// A photograph and its drawings.
 #[derive(Debug, Serialize)]
@@ -29,13 +33,28 @@ pub(super) struct Judged {
 /// Distances to the photographs of faces, by their names.
 pub(super) type Distances = BTreeMap<String, f64>;
 
-/// What the judge says of a photograph.
+/// How far the points of a face are from the photograph's for each blur, in distances between the eyes; `None` where no face is
+/// found at the photograph's.
+pub(super) type Errors = Vec<Option<f64>>;
+
+/// What the judges say of a photograph.
 #[derive(Debug, Deserialize)]
 pub(super) struct Verdict {
     /// Distances of an empty sheet; `None` if the judge finds no face in the photograph.
     pub(super) blank: Option<Distances>,
     /// What it says of the drawings, by their names.
     pub(super) drawings: BTreeMap<String, DrawingVerdict>,
+    /// What mediapipe says of them; `None` if it finds no face in the photograph, or is not there.
+    #[serde(default)]
+    pub(super) meshes: Option<BTreeMap<String, Errors>>,
+}
+
+/// The Pythons in which the judges run.
+pub(super) struct Judges {
+    /// dlib's.
+    pub(super) identity: PathBuf,
+    /// mediapipe's, if it can be had.
+    pub(super) mesh: Option<PathBuf>,
 }
 
 /// What the judge says of a drawing.
@@ -52,14 +71,26 @@ pub(super) struct DrawingVerdict {
 /// Judges all drawings; `folder` takes the list of them.
 ///
 /// # Errors
-/// The judge fails.
-pub(super) fn verdicts(python: &Path, folder: &Path, orders: &[Judged]) -> Result<Vec<Verdict>, BenchError> {
-    let of_judge = |cause: &dyn std::fmt::Display| failed("judge", cause);
+/// A judge fails.
+pub(super) fn verdicts(judges: &Judges, folder: &Path, orders: &[Judged]) -> Result<Vec<Verdict>, BenchError> {
     let list = folder.join("drawings.json");
-    let text = serde_json::to_string(orders).map_err(|cause| of_judge(&cause))?;
-    std::fs::write(&list, text).map_err(|cause| of_judge(&cause))?;
+    let text = serde_json::to_string(orders).map_err(|cause| failed("judge", cause))?;
+    std::fs::write(&list, text).map_err(|cause| failed("judge", cause))?;
+    let mut verdicts: Vec<Verdict> = said("judge", &judges.identity, JUDGE, &list)?;
+    if let Some(python) = &judges.mesh {
+        let meshes: Vec<Option<BTreeMap<String, Errors>>> = said("mesh", python, MESH, &list)?;
+        for (verdict, meshes) in verdicts.iter_mut().zip(meshes) {
+            verdict.meshes = meshes;
+        }
+    }
+    Ok(verdicts)
+}
+
+/// What a judge prints about the list of drawings.
+fn said<T: DeserializeOwned>(judge: &str, python: &Path, script: &str, list: &Path) -> Result<T, BenchError> {
+    let of_judge = |cause: &dyn std::fmt::Display| failed(judge, cause);
     let mut command = Command::new(python);
-    let output = command.args(["-c", JUDGE]).arg(&list).stdin(Stdio::null()).output();
+    let output = command.args(["-c", script]).arg(list).stdin(Stdio::null()).output();
     let output = output.map_err(|cause| of_judge(&cause))?;
     if !output.status.success() {
         return Err(of_judge(&String::from_utf8_lossy(&output.stderr)));

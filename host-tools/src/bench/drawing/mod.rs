@@ -6,6 +6,7 @@ mod order;
 mod peers;
 mod photographs;
 mod portraits;
+mod scores;
 
 use super::{BenchError, BenchReport, BenchRow, Selection};
 use crate::drawing::{
