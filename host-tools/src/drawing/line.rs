@@ -10,6 +10,12 @@ pub(crate) fn distance(a: Point, b: Point) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
+/// Square of the distance between two points: quicker than the distance, for coordinates whose squares are numbers.
+pub(crate) fn distance_squared(a: Point, b: Point) -> f64 {
+    let (dx, dy) = (a[0] - b[0], a[1] - b[1]);
+    dx * dx + dy * dy
+}
+
 /// Length of a line.
 pub(crate) fn length(points: &[Point]) -> f64 {
     points.windows(2).map(|pair| distance(pair[0], pair[1])).sum()
@@ -33,12 +39,12 @@ pub(crate) fn direction(a: Point, b: Point) -> Point {
 /// Distance of a point from the segment between `a` and `b`.
 pub(crate) fn distance_to_segment(point: Point, a: Point, b: Point) -> f64 {
     let (dx, dy) = (b[0] - a[0], b[1] - a[1]);
-    let squared = dx * dx + dy * dy;
+    let squared = distance_squared(a, b);
     if squared == 0.0 {
         return distance(point, a);
     }
     let t = (((point[0] - a[0]) * dx + (point[1] - a[1]) * dy) / squared).clamp(0.0, 1.0);
-    distance(point, between(a, b, t))
+    distance_squared(point, between(a, b, t)).sqrt()
 }
 
 /// The line with points about `step` apart.

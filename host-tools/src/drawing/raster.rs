@@ -85,19 +85,20 @@ impl Plane {
     }
 
     /// The value between pixels, bilinear; pixel centres are at whole numbers.
+    #[inline]
     pub(crate) fn sample(&self, x: f32, y: f32) -> f32 {
-        let x = x.clamp(0.0, (self.width - 1) as f32);
-        let y = y.clamp(0.0, (self.height - 1) as f32);
+        let x = x.max(0.0).min((self.width - 1) as f32);
+        let y = y.max(0.0).min((self.height - 1) as f32);
         // Conversions to 32 bits are the fast ones.
         let (left, top) = (x as i32, y as i32);
         let (u, v) = (x - left as f32, y - top as f32);
         let (left, top) = (left as usize, top as usize);
-        let right = usize::from(left + 1 < self.width);
         let below = if top + 1 < self.height { self.width } else { 0 };
         let first = top * self.width + left;
-        let row = |from: usize| {
-            let pair = &self.values[from..=from + right];
-            pair[0] * (1.0 - u) + pair[right] * u
+        // In the last column the share of the next value is 0.
+        let row = |from: usize| match self.values.get(from..from + 2) {
+            Some(pair) => pair[0] * (1.0 - u) + pair[1] * u,
+            None => self.values[from],
         };
         row(first) * (1.0 - v) + row(first + below) * v
     }

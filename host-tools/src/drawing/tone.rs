@@ -158,7 +158,7 @@ impl<'a> Field<'a> {
             for column in range(at[0], self.columns) {
                 for mark in &self.cells[row * self.columns + column] {
                     let own = mark.stroke == stroke && (mark.step - step).abs() <= own_steps;
-                    if !own && line::distance(mark.at, at) < radius {
+                    if !own && line::distance_squared(mark.at, at) < radius * radius {
                         return false;
                     }
                 }
