@@ -1,9 +1,9 @@
 //! Finds faces, and the eyes, nose and mouth in each of them.
 //!
 //! Boxes come from the SeetaFace detector (Wu, Kan, He, Shan and Chen, *Funnel-structured cascade for multi-view face
-//! detection with alignment awareness*, 2016), whose model is part of the program. The eyes are two dark and restless places
-//! near those where a face of that box usually has them; the mouth is the darkest row below, along the line of the eyes. Nothing
-//! is learned or loaded at run time.
+//! detection with alignment awareness*, 2016), whose model is part of the program. The eyes are the darkest blobs near
+//! the places where a face of that box usually has them; the mouth is the darkest row below. Nothing is learned or
+//! loaded at run time.
 
 use super::raster::Plane;
 use super::render::{grey, reduced};
@@ -26,19 +26,9 @@ const RANGE_LOW: f32 = 0.5;
 const SCORE_MIN: f64 = 2.0;
 /// Most faces that are kept, the largest first.
 const FACES_MAX: usize = 32;
-/// Usual place in the box of the eye on the left, shares of its side, and how far eyes are from their usual places.
+/// Usual places in the box, shares of its side: the eye on the left, the mouth's middle.
 const EYE_AT: [f64; 2] = [0.30, 0.40];
-const EYE_SPREAD: [f64; 2] = [0.12, 0.09];
-/// How far two eyes are from their usual distance, shares of the box's side, and from a level line, radians.
-const PAIR_SPREAD: [f64; 2] = [0.15, 0.3];
-/// Weight of the change of light along a row against darkness.
-const CHANGE_WEIGHT: f32 = 0.5;
-/// Distance of the eyes and their height where they are level, shares of the side.
-const LEVEL_APART: f64 = 0.42;
-const LEVEL_AT: f64 = 0.21;
-/// Usual place of the mouth below the eyes, in their distances, and how far mouths are from it, shares of the side.
-const MOUTH_BELOW: f64 = 1.1;
-const MOUTH_SPREAD: [f64; 2] = [0.08, 0.084];
+const MOUTH_AT: [f64; 2] = [0.5, 0.80];
 /// Least distance of the eyes of a face seen from the front, in radii of the face.
 const EYES_APART_MIN: f64 = 0.7;
 /// Side of the box while its blobs are compared, pixels.
@@ -163,8 +153,13 @@ fn with_features(light: &Plane, corner: [f64; 2], side: f64) -> Face {
         let at = [x, y].map(|k| (k as f64 + 0.5) / BOX_PX * side);
         light.sample((corner[0] + at[0]) as f32, (corner[1] + at[1]) as f32)
     });
-    let eyes = eyes(&patch);
-    let mouth = mouth(&patch, eyes);
+    let blob = patch
+        .blurred(10.0)
+        .zip(&patch.blurred(2.5), |around, here| around - here);
+    let eyes = [EYE_AT, [1.0 - EYE_AT[0], EYE_AT[1]]].map(|usual| best_place(&blob, usual, [0.09, 0.07]));
+    let middle = 0.5 * (eyes[0][0] + eyes[1][0]);
+    let rows = wide_rows(&patch);
+    let mouth = best_place(&rows, [0.4 * MOUTH_AT[0] + 0.6 * middle, MOUTH_AT[1]], [0.04, 0.07]);
     let place = |at: [f64; 2]| [0, 1].map(|k| corner[k] + at[k] * side);
     let between = [0, 1].map(|k| 0.5 * (eyes[0][k] + eyes[1][k]));
     Face {
@@ -180,53 +175,6 @@ fn with_features(light: &Plane, corner: [f64; 2], side: f64) -> Face {
     }
 }
 
-/// The eyes in a box, in shares of its side: the two places that are most likely the eyes of one face. Eyes are dark, and
-/// their light changes along a row more than that of brows.
-fn eyes(patch: &Plane) -> [[f64; 2]; 2] {
-    let dark = patch
-        .blurred(10.0)
-        .zip(&patch.blurred(2.5), |around, here| around - here);
-    let change = Plane::from_fn(patch.width(), patch.height(), |x, y| {
-        let (x, y) = (x as isize, y as isize);
-        (patch.at(x + 1, y) - patch.at(x - 1, y)).abs()
-    });
-    let answer = dark.zip(&change.blurred(3.0), |dark, change| dark + CHANGE_WEIGHT * change);
-    let usual = [EYE_AT, [1.0 - EYE_AT[0], EYE_AT[1]]];
-    let [left, right] = usual.map(|usual| peaks(&answer, usual, EYE_SPREAD));
-    let usual_apart = usual[1][0] - usual[0][0];
-    let (mut best, mut best_value) = (usual, 1e-6);
-    for &(left, left_value) in &left {
-        for &(right, right_value) in &right {
-            let [across, down] = [0, 1].map(|k| right[k] - left[k]);
-            let pair = [across.hypot(down), down.atan2(across)];
-            let value = (left_value + right_value) * likely(pair, [usual_apart, 0.0], PAIR_SPREAD);
-            if value > best_value {
-                (best, best_value) = ([left, right], value);
-            }
-        }
-    }
-    best
-}
-
-/// The middle of the mouth in a box, in shares of its side: the darkest row below the eyes, along the line of the eyes.
-fn mouth(patch: &Plane, [left, right]: [[f64; 2]; 2]) -> [f64; 2] {
-    let [across, down] = [0, 1].map(|k| right[k] - left[k]);
-    let between = [0, 1].map(|k| 0.5 * (left[k] + right[k]));
-    // With the eyes level, above the middle, and always as far apart.
-    let place = |[x, y]: [f64; 2]| {
-        let [x, y] = [(x - 0.5) / LEVEL_APART, (y - LEVEL_AT) / LEVEL_APART];
-        [between[0] + x * across - y * down, between[1] + x * down + y * across]
-    };
-    let px = BOX_PX as usize;
-    let level = Plane::from_fn(px, px, |x, y| {
-        let at = place([x, y].map(|k| (k as f64 + 0.5) / BOX_PX));
-        let [x, y] = at.map(|share| (share * BOX_PX - 0.5) as f32);
-        patch.sample(x, y)
-    });
-    let usual = [0.5, LEVEL_AT + MOUTH_BELOW * LEVEL_APART];
-    place(best_place(&wide_rows(&level), usual, MOUTH_SPREAD))
-}
-
 /// How much darker a short row is than the rows above and below.
 fn wide_rows(patch: &Plane) -> Plane {
     let mean = |x: isize, y: isize| (-14..=14).map(|k| patch.at(x + k, y)).sum::<f32>() / 29.0;
@@ -234,44 +182,21 @@ fn wide_rows(patch: &Plane) -> Plane {
     rows.blurred(7.0).zip(&rows.blurred(1.5), |around, here| around - here)
 }
 
-/// How likely two figures are by their distances from the usual ones.
-fn likely(at: [f64; 2], usual: [f64; 2], spread: [f64; 2]) -> f64 {
-    let away = [0, 1].map(|k| (at[k] - usual[k]) / spread[k]);
-    (-0.5 * (away[0] * away[0] + away[1] * away[1])).exp()
-}
-
-/// The values weighted by the distance of their places from the usual one.
-fn weighted(answer: &Plane, usual: [f64; 2], spread: [f64; 2]) -> Plane {
-    Plane::from_fn(answer.width(), answer.height(), |x, y| {
-        let weight = likely(place_of(x, y), usual, spread);
-        answer.at(x as isize, y as isize) * weight as f32
-    })
-}
-
-fn place_of(x: usize, y: usize) -> [f64; 2] {
-    [x, y].map(|k| (k as f64 + 0.5) / BOX_PX)
-}
-
-/// The places where the weighted value is larger than around, with it.
-fn peaks(answer: &Plane, usual: [f64; 2], spread: [f64; 2]) -> Vec<([f64; 2], f64)> {
-    let weighted = weighted(answer, usual, spread);
-    let places = (0..weighted.height()).flat_map(|y| (0..weighted.width()).map(move |x| (x, y)));
-    let is_peak = |&(x, y): &(usize, usize)| {
-        let value = weighted.at(x as isize, y as isize);
-        let mut around = (-1..=1).flat_map(|down| (-1..=1).map(move |across| (across, down)));
-        value > 0.0 && around.all(|(across, down)| weighted.at(x as isize + across, y as isize + down) <= value)
-    };
-    places
-        .filter(is_peak)
-        .map(|(x, y)| (place_of(x, y), f64::from(weighted.at(x as isize, y as isize))))
-        .collect()
-}
-
-/// The place of the largest weighted value; the usual one if none is above 0.
+/// Place of the largest value, weighted by its distance from the usual place; all in shares of the side.
 fn best_place(answer: &Plane, usual: [f64; 2], spread: [f64; 2]) -> [f64; 2] {
-    let peaks = peaks(answer, usual, spread);
-    let best = peaks.into_iter().max_by(|a, b| a.1.total_cmp(&b.1));
-    best.map_or(usual, |(place, _)| place)
+    let (mut best, mut best_value) = (usual, 1e-6);
+    for y in 0..answer.height() {
+        for x in 0..answer.width() {
+            let at = [(x as f64 + 0.5) / BOX_PX, (y as f64 + 0.5) / BOX_PX];
+            let away = [0, 1].map(|k| (at[k] - usual[k]) / spread[k]);
+            let likely = (-0.5 * (away[0] * away[0] + away[1] * away[1])).exp();
+            let value = f64::from(answer.at(x as isize, y as isize)) * likely;
+            if value > best_value {
+                (best, best_value) = (at, value);
+            }
+        }
+    }
+    best
 }
 
 #[cfg(test)]
