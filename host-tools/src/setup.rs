@@ -361,14 +361,15 @@ pub fn ensure_portraits() -> Result<PathBuf, SetupError> {
     )
 }
 
-/// The judge of faces' points, for Python 3.9 to 3.12, and what its mesh imports; the rest of what it asks for is never used.
-const MESH: [(&str, &[&str]); 7] = [
+/// The judge of faces' points, for Python 3.10 to 3.12, and what its mesh imports; the rest of what it asks for is never used.
+const MESH: [(&str, &[&str]); 8] = [
     ("numpy==2.1.3", &[]),
     ("opencv-python-headless==4.10.0.84", &[]),
     ("matplotlib==3.10.3", &[]),
     ("protobuf==4.25.9", &[]),
     ("absl-py==2.5.1", &[]),
-    ("flatbuffers==25.12.19", &["attrs==26.1.0"]),
+    ("flatbuffers==25.12.19", &[]),
+    ("attrs==26.1.0", &[]),
     ("mediapipe==0.10.14", &["--no-deps"]),
 ];
 

@@ -26,9 +26,9 @@ enum Bench {
     Console(Options),
     /// The vectoriser on the sample photographs (time, strokes, tone, edges); the order of the sample vectors compared
     /// with vpype's (linemerge linesort --two-opt); ten photographs in every style beside the drawings of hatched and
-    /// plotline in the same drawing time, judged by dlib's faces and mediapipe's points of faces. vpype, the other programs, the
-    /// judges and most photographs come from PyPI and are set up in separate folders below the target folder (about one and a half
-    /// gigabytes).
+    /// plotline in the same drawing time, judged by dlib (whose face it is) and mediapipe (where its points are). vpype, the
+    /// other programs, the judges and most photographs come from PyPI and are set up in separate folders below the target
+    /// folder (about one and a half gigabytes).
     Drawing(DrawingOptions),
     /// The EtherCAT master compared with ethercrab: instructions of a cycle, memory, code, frames of a bring-up.
     Ethercat(Options),

@@ -94,9 +94,10 @@ struct New {
     /// Number of drives (etherpen bus scan lists them).
     #[arg(long, value_name = "NUMBER")]
     drives: Option<usize>,
-    /// Look at the bus, and write its drives into the file: vendor, product, and what tells equal ones apart. The bus is reached by
-    /// --interface, --udp, --unix or --port. Slaves of an unknown product are asked for their type, in PREOP for that time. A board
-    /// without a configuration gets that of the kind, and brings its bus up.
+    /// Look at the bus, and write its drives into the file: vendor, product, and what tells equal ones apart. The bus is
+    /// reached by --interface, --udp, --unix or --port. Slaves of an unknown product are asked for their type, in PREOP for
+    /// that time if they are in INIT; nothing is written if one does not answer. A board without a configuration gets that
+    /// of the kind, keeps it, and brings its bus up.
     #[arg(long)]
     scan: bool,
     #[command(flatten)]

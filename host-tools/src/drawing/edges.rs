@@ -33,7 +33,7 @@ impl Flow {
             let (x, y) = (x as isize, y as isize);
             let dx = 0.5 * (light.at(x + 1, y) - light.at(x - 1, y));
             let dy = 0.5 * (light.at(x, y + 1) - light.at(x, y - 1));
-            // As exact as `hypot`, which is no instruction.
+            // As exact as `hypot`, which is a call of a function.
             let square = f64::from(dx) * f64::from(dx) + f64::from(dy) * f64::from(dy);
             let size = (square.sqrt() as f32).max(1e-9);
             (dx, dy, size)

@@ -10,7 +10,8 @@ pub(crate) fn distance(a: Point, b: Point) -> f64 {
     (a[0] - b[0]).hypot(a[1] - b[1])
 }
 
-/// Square of the distance between two points: quicker than the distance, for coordinates whose squares are numbers.
+/// Square of the distance between two points: quicker than the distance, but squares of huge or tiny numbers overflow or
+/// vanish.
 pub(crate) fn distance_squared(a: Point, b: Point) -> f64 {
     let (dx, dy) = (a[0] - b[0], a[1] - b[1]);
     dx * dx + dy * dy

@@ -9,11 +9,9 @@ photograph's box.
 """
 
 import importlib.util, json, os, sys
-import cv2, dlib
+import dlib
 import numpy as np
 
-WIDTH_PX = 800
-BLURS_PX = [2.0, 4.0]
 TONE_SIGMA_PX = 8.0
 OVERLAP_MIN = 0.3
 PAPER = 251
@@ -23,12 +21,6 @@ detector = dlib.get_frontal_face_detector()
 points = dlib.shape_predictor(os.path.join(folder, "shape_predictor_5_face_landmarks.dat"))
 outline = dlib.shape_predictor(os.path.join(folder, "shape_predictor_68_face_landmarks.dat"))
 network = dlib.face_recognition_model_v1(os.path.join(folder, "dlib_face_recognition_resnet_model_v1.dat"))
-
-
-def read(path):
-    picture = cv2.cvtColor(cv2.imread(path), cv2.COLOR_BGR2RGB)
-    height = round(picture.shape[0] * WIDTH_PX / picture.shape[1])
-    return cv2.resize(picture, (WIDTH_PX, height), interpolation=cv2.INTER_AREA)
 
 
 def faces(picture):

@@ -13,9 +13,9 @@ use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 /// dlib's judge.
-const JUDGE: &str = include_str!("judge.py");
+const JUDGE: &str = concat!(include_str!("pictures.py"), include_str!("judge.py"));
 /// mediapipe's.
-const MESH: &str = include_str!("mesh.py");
+const MESH: &str = concat!(include_str!("pictures.py"), include_str!("mesh.py"));
 
 /// A photograph and its drawings.
 #[derive(Debug, Serialize)]
@@ -42,22 +42,17 @@ pub(super) type Errors = Vec<Option<f64>>;
 pub(super) struct Verdict {
     /// Distances of an empty sheet; `None` if the judge finds no face in the photograph.
     pub(super) blank: Option<Distances>,
-    /// What it says of the drawings, by their names.
+    /// What dlib says of the drawings, by their names.
     pub(super) drawings: BTreeMap<String, DrawingVerdict>,
-    /// What mediapipe says of them; `None` if it finds no face in the photograph, or is not there.
-    #[serde(default)]
-    pub(super) meshes: Option<BTreeMap<String, Errors>>,
+    /// What mediapipe says of them; `None` if it finds no face in the photograph, or was not asked.
+    #[serde(skip)]
+    pub(super) meshes: Meshes,
 }
 
-/// The Pythons in which the judges run.
-pub(super) struct Judges {
-    /// dlib's.
-    pub(super) identity: PathBuf,
-    /// mediapipe's, if it can be had.
-    pub(super) mesh: Option<PathBuf>,
-}
+/// What mediapipe says of a photograph's drawings, by their names; `None` if it finds no face in the photograph.
+pub(super) type Meshes = Option<BTreeMap<String, Errors>>;
 
-/// What the judge says of a drawing.
+/// What dlib says of a drawing.
 #[derive(Debug, Deserialize)]
 pub(super) struct DrawingVerdict {
     /// Correlation of tone in the subject.
@@ -68,22 +63,35 @@ pub(super) struct DrawingVerdict {
     pub(super) distances: Vec<Option<Distances>>,
 }
 
-/// Judges all drawings; `folder` takes the list of them.
+/// What dlib says of all drawings; `folder` takes the list of them.
 ///
 /// # Errors
-/// A judge fails.
-pub(super) fn verdicts(judges: &Judges, folder: &Path, orders: &[Judged]) -> Result<Vec<Verdict>, BenchError> {
-    let list = folder.join("drawings.json");
+/// The judge fails.
+pub(super) fn verdicts(python: &Path, folder: &Path, orders: &[Judged]) -> Result<Vec<Verdict>, BenchError> {
+    let list = list(folder);
     let text = serde_json::to_string(orders).map_err(|cause| failed("judge", cause))?;
     std::fs::write(&list, text).map_err(|cause| failed("judge", cause))?;
-    let mut verdicts: Vec<Verdict> = said("judge", &judges.identity, JUDGE, &list)?;
-    if let Some(python) = &judges.mesh {
-        let meshes: Vec<Option<BTreeMap<String, Errors>>> = said("mesh", python, MESH, &list)?;
-        for (verdict, meshes) in verdicts.iter_mut().zip(meshes) {
-            verdict.meshes = meshes;
-        }
+    said("judge", python, JUDGE, &list)
+}
+
+/// Adds what mediapipe says of the drawings that [`verdicts`] has judged.
+///
+/// # Errors
+/// The judge fails; nothing was added.
+pub(super) fn add_meshes(python: &Path, folder: &Path, verdicts: &mut [Verdict]) -> Result<(), BenchError> {
+    let meshes: Vec<Meshes> = said("mesh", python, MESH, &list(folder))?;
+    if meshes.len() != verdicts.len() {
+        let counts = format_args!("{} answers for {} photographs", meshes.len(), verdicts.len());
+        return Err(failed("mesh", counts));
     }
-    Ok(verdicts)
+    for (verdict, meshes) in verdicts.iter_mut().zip(meshes) {
+        verdict.meshes = meshes;
+    }
+    Ok(())
+}
+
+fn list(folder: &Path) -> PathBuf {
+    folder.join("drawings.json")
 }
 
 /// What a judge prints about the list of drawings.

@@ -7,21 +7,12 @@ corners of the eyes; null where the drawing shows no face in that place.
 """
 
 import json, sys
-import cv2
 import numpy as np
 from mediapipe.python.solutions.face_mesh import FaceMesh
 
-WIDTH_PX = 800
-BLURS_PX = [2.0, 4.0]
 OUTER_CORNERS = [33, 263]
 # Farther away, it is another face.
 ERROR_MAX = 0.5
-
-
-def read(path):
-    picture = cv2.cvtColor(cv2.imread(path), cv2.COLOR_BGR2RGB)
-    height = round(picture.shape[0] * WIDTH_PX / picture.shape[1])
-    return cv2.resize(picture, (WIDTH_PX, height), interpolation=cv2.INTER_AREA)
 
 
 def meshes(judge, picture):

@@ -5,7 +5,7 @@
 //! 0.5 mm wide. Figures only show when something became worse; which portrait is better has to be seen
 //! (`--contact-sheet`).
 
-use super::judge::{self, Judged, Judges};
+use super::judge::{self, Judged};
 use super::peers::{Artists, Attempt, Order, PEERS};
 use super::photographs::{self, PHOTOGRAPHS, Photograph};
 use super::scores::{self, Artist, Measured, TIME_S, is_equal_time};
@@ -14,9 +14,7 @@ use crate::bench::{BenchError, BenchRow, Selection};
 use crate::drawing::preparation::compose::from_photograph;
 use crate::drawing::preparation::grid::in_rows;
 use crate::drawing::preparation::source::SourceArguments;
-use crate::drawing::{
-    Crop, Drawing, OrderOptions, Style, Subject, Travel, VectorizeOptions, edge_coverage, render_rgb,
-};
+use crate::drawing::{Crop, Drawing, OrderOptions, Subject, Travel, VectorizeOptions, edge_coverage, render_rgb};
 use crate::output_file::write_bytes;
 use crate::setup;
 use clap::Parser;
@@ -83,8 +81,11 @@ pub(super) fn run(
             format_args!("{} is no folder", folder.display()),
         ));
     }
-    progress("portraits: the judge and the other programs, from PyPI");
+    progress("portraits: the judges and the other programs, from PyPI");
     let python = setup::ensure_portraits()?;
+    let left_out =
+        |cause: &dyn std::fmt::Display| progress(&format!("the judge of faces' points is left out: {cause}"));
+    let mesh = setup::ensure_mesh().map_err(|cause| left_out(&cause)).ok();
     let folder = setup::target_dir().join("portraits/pictures");
     std::fs::create_dir_all(&folder).map_err(|cause| failed("portraits", cause))?;
     let config = Config::default();
@@ -123,13 +124,10 @@ pub(super) fn run(
         drawn.push(portraits);
     }
     progress("judging the portraits");
-    let judges = Judges {
-        identity: python,
-        mesh: setup::ensure_mesh()
-            .map_err(|cause| progress(&format!("the judge of faces' points is left out: {cause}")))
-            .ok(),
-    };
-    let verdicts = judge::verdicts(&judges, &folder, &orders)?;
+    let mut verdicts = judge::verdicts(&python, &folder, &orders)?;
+    if let Some(mesh) = &mesh {
+        judge::add_meshes(mesh, &folder, &mut verdicts).unwrap_or_else(|cause| left_out(&cause));
+    }
     for ((part, portraits), verdict) in parts.iter().zip(&drawn).zip(&verdicts) {
         let measured = portraits.iter().map(|(artist, portrait)| (*artist, portrait.measured));
         scores::figures(part.photograph.name, measured, verdict, rows);

@@ -30,6 +30,8 @@ const FIGURES: [(&str, &str); 12] = [
     (CPU, "s/megapixel"),
 ];
 const MARGIN: &str = "identity_margin";
+/// Error of the points of a face that is not found, as of one at the limit of being this face.
+const MISSED: f64 = 0.5;
 const DRAWING_S: &str = "drawing_s";
 const CPU: &str = "cpu";
 
@@ -93,7 +95,7 @@ pub(super) fn is_equal_time(planned_s: f64) -> bool {
 }
 
 /// `None` without values.
-fn mean(values: impl Iterator<Item = f64>) -> Option<f64> {
+fn mean_of(values: impl Iterator<Item = f64>) -> Option<f64> {
     let (count, sum) = values.fold((0, 0.0), |(count, sum), value| (count + 1, sum + value));
     (count > 0).then(|| sum / f64::from(count))
 }
@@ -130,12 +132,13 @@ pub(super) fn figures(
                 "face_found_4px" => found(1),
                 "mesh_found_2px" => has_mesh(0),
                 "mesh_found_4px" => has_mesh(1),
-                "mesh_error" => meshes.and_then(|errors| mean(errors.iter().flatten().copied())),
+                "mesh_error" => meshes.and_then(|errors| mean_of(errors.iter().map(|error| error.unwrap_or(MISSED)))),
                 MARGIN => judged.and_then(|judged| mean_margin(name, person, &judged.distances)),
                 "strokes" => Some(measured.strokes as f64),
                 DRAWING_S => Some(measured.planned_s),
                 // The work of a smaller photograph is that of the sheet; all programs are counted alike.
-                _ => Some(measured.cpu_s / measured.megapixels.max(1.0)),
+                CPU => Some(measured.cpu_s / measured.megapixels.max(1.0)),
+                _ => None,
             };
             let target = (figure == CPU && is_limited).then_some(CPU_PER_MEGAPIXEL_MAX_S);
             rows.extend(value.map(|value| BenchRow {
@@ -180,7 +183,7 @@ pub(super) fn means(rows: &mut Vec<BenchRow>) {
             let counted = PHOTOGRAPHS.iter().map(|photograph| photograph.name);
             // A blank sheet has no time.
             let counted = counted.filter(|name| value(DRAWING_S, name).is_none_or(is_equal_time));
-            self::mean(counted.filter_map(|name| value(figure, name)))
+            mean_of(counted.filter_map(|name| value(figure, name)))
         };
         let means: Vec<(Artist, f64)> = artists
             .iter()
@@ -254,6 +257,57 @@ mod tests {
         assert_eq!(drawn("portrait/edges/cat", None), 8);
         assert_eq!(drawn("portrait/edges/mean", Some("hatched")), all);
         assert_eq!(drawn("lifts/", None), 0);
+    }
+
+    #[test]
+    fn each_figure_of_a_drawing_is_that_of_its_judge() {
+        let verdict = |meshes: Option<Vec<Option<f64>>>| -> Verdict {
+            let told = r#"{"blank": {"obama": 0.9, "biden": 0.9}, "drawings": {"sketch": {"tone_subject": 0.7, "tone_face": 0.6,
+                "distances": [null, {"obama": 0.5, "biden": 0.8}]}}}"#;
+            Verdict {
+                meshes: meshes.map(|errors| [("sketch".to_owned(), errors)].into()),
+                ..serde_json::from_str(told).expect("a verdict")
+            }
+        };
+        let measured = Measured {
+            strokes: 12,
+            planned_s: 80.0,
+            cpu_s: 3.0,
+            megapixels: 2.0,
+            edges: 0.4,
+        };
+        let of = |verdict: &Verdict| {
+            let mut rows = Vec::new();
+            figures("obama", [(artist("sketch"), measured)].into_iter(), verdict, &mut rows);
+            let told = rows.into_iter().filter(|row| row.subject == "etherpen");
+            told.map(|row| (row.case.split('/').nth(1).unwrap_or_default().to_owned(), row.value))
+                .collect::<Vec<_>>()
+        };
+        let expected = [
+            ("tone_subject", 0.7),
+            ("tone_face", 0.6),
+            ("edges", 0.4),
+            ("face_found_2px", 0.0),
+            ("face_found_4px", 1.0),
+            ("identity_margin", 0.15),
+            ("mesh_found_2px", 1.0),
+            ("mesh_found_4px", 0.0),
+            ("mesh_error", 0.3),
+            ("strokes", 12.0),
+            ("drawing_s", 80.0),
+            ("cpu", 1.5),
+        ];
+        let told = of(&verdict(Some(vec![Some(0.1), None])));
+        assert_eq!(told.len(), FIGURES.len());
+        for ((name, value), (wanted_name, wanted)) in told.iter().zip(expected) {
+            assert!(
+                name == wanted_name && (value - wanted).abs() < 1e-9,
+                "{name}: {value}, not {wanted}"
+            );
+        }
+        let without = of(&verdict(None));
+        assert!(without.iter().all(|(name, _)| !name.starts_with("mesh")), "{without:?}");
+        assert_eq!(without.len(), FIGURES.len() - 3);
     }
 
     /// The mean margin of `sketch` after [`means`], with its target.

@@ -14,7 +14,11 @@ use etherpen::ethercat::wire::coe::Object;
 /// The object in which a slave tells its device type.
 const DEVICE_TYPE: Object = Object { index: 0x1000, sub: 0 };
 
-/// Reads all slaves. One of an unknown product in INIT is asked for its device type, for which it is brought to PREOP, and back.
+/// Abort codes of a slave without the object: it does not exist, or its sub-index does not (ETG.1000.6).
+const NO_OBJECT: [u32; 2] = [0x0602_0000, 0x0609_0011];
+
+/// Reads all slaves. One of an unknown product in INIT is asked for its device type, for which it is brought to PREOP, and back; one in a higher
+/// state where it is.
 ///
 /// # Errors
 /// The bus refused a request or was lost; a slave could not be asked.
@@ -60,8 +64,16 @@ fn is_drive(access: &mut dyn BusAccess, slave: &SlaveView) -> Result<bool, Progr
     let told = reached.and_then(|()| asked(access, number));
     // Also where it has not told.
     let back = reach(access, number, AlState::Init);
-    let told = told.map_err(unknown)?;
-    back.map(|()| told)
+    match (told, back) {
+        (told, Ok(())) => told.map_err(unknown),
+        (told, Err(back)) => {
+            let cause = told
+                .err()
+                .map_or_else(String::new, |cause| format!("{}; ", cause.message));
+            let text = format!("{cause}it does not go back to INIT: {}", back.message);
+            Err(unknown(ProgramError::new(back.code, text)))
+        }
+    }
 }
 
 /// Whether a slave with objects says that it is a drive. One without the object is none.
@@ -69,9 +81,12 @@ fn asked(access: &mut dyn BusAccess, slave: u8) -> Result<bool, ProgramError> {
     match access::upload(access, slave, DEVICE_TYPE, false) {
         Ok(bytes) => {
             let told = bytes.first_chunk().copied().map(u32::from_le_bytes);
-            Ok(told.and_then(drive_kind_by_type).is_some())
+            let told = told.ok_or_else(|| ProgramError::new(code::FAILED, "its device type is too short"))?;
+            Ok(drive_kind_by_type(told).is_some())
         }
-        Err(AccessError::Refused(ServiceError::Bus(BusError::SdoAbort { .. }))) => Ok(false),
+        Err(AccessError::Refused(ServiceError::Bus(BusError::SdoAbort { code, .. }))) if NO_OBJECT.contains(&code) => {
+            Ok(false)
+        }
         Err(error) => Err(error.into()),
     }
 }

@@ -38,8 +38,8 @@ const SAMPLE_CHAIN: &str = "# The chain:";
 /// A number of a drive.
 type Number = fn(&Found) -> u32;
 
-/// What tells equal drives apart: the first of these that all of them have, each with another number. What stays with the
-/// place when a drive is replaced comes first.
+/// What tells equal drives apart: the first of these that all of them have that are used, each with a number of its own. What
+/// stays with the place when a drive is replaced comes first.
 const MARKS: [(&str, Number); 3] = [
     ("switch", |found| found.switch.into()),
     ("alias", |found| found.alias.into()),
@@ -55,14 +55,14 @@ fn is_equal(one: &Found, other: &Found) -> bool {
     (one.vendor, one.product) == (other.vendor, other.product)
 }
 
-/// What tells a drive from the equal ones of the chain, with those that no axis uses; `None` if it needs nothing, or nothing does.
-fn mark(of: &Found, chain: &[Found]) -> Option<(&'static str, u32)> {
+/// What tells a drive from all equal ones of the chain, of which the first `axes` drives are used; `None` if it needs nothing,
+/// or nothing does.
+fn mark(of: &Found, chain: &[Found], axes: usize) -> Option<(&'static str, u32)> {
     let equal: Vec<&Found> = drives(chain).filter(|found| is_equal(found, of)).collect();
+    let used: Vec<&Found> = drives(chain).take(axes).filter(|found| is_equal(found, of)).collect();
     let tells_apart = |number: Number| {
-        let mut numbers: Vec<u32> = equal.iter().map(|found| number(found)).collect();
-        numbers.sort_unstable();
-        numbers.dedup();
-        numbers.len() == equal.len() && !numbers.contains(&0)
+        let is_alone = |one: u32| equal.iter().filter(|other| number(other) == one).count() == 1;
+        used.iter().all(|found| number(found) != 0 && is_alone(number(found)))
     };
     let found = MARKS.into_iter().find(|(_, number)| tells_apart(*number));
     found
@@ -82,7 +82,7 @@ pub(super) fn write(document: &mut DocumentMut, chain: &[Found]) {
                 axis.insert(key, Item::Value(value));
             }
         }
-        if let Some((key, number)) = mark(drive, chain) {
+        if let Some((key, number)) = mark(drive, chain, used.len()) {
             axis.insert(key, toml_edit::value(i64::from(number)));
         }
     }
@@ -159,7 +159,10 @@ pub fn notes(text: &str, chain: &[Found]) -> Vec<String> {
         notes.push(format!("the chain has {count} drives; the file uses the first {axes}"));
     }
     let is_alone = |one: &Found| drives(chain).filter(|other| is_equal(one, other)).count() == 1;
-    if let Some(first) = used.iter().find(|one| !is_alone(one) && mark(one, chain).is_none()) {
+    if let Some(first) = used
+        .iter()
+        .find(|one| !is_alone(one) && mark(one, chain, axes).is_none())
+    {
         notes.push(format!(
             "nothing tells the drives {} apart: give each an alias or another number of its switches, so that exchanged cables are \
              noticed",
@@ -255,11 +258,35 @@ mod tests {
         assert_eq!(marked(|found, number| found.alias = number / 2), [(0, 0, 5), (0, 0, 6)]);
         let alike = marked(|found, _| found.serial = 0);
         assert_eq!(alike, [(0, 0, 0); 2]);
-        // One that no axis uses may be plugged into the place of one that is used.
-        let chain = [drive(5), drive(6), drive(7)];
-        let text = composed(Kind::CoreXy, &chain, Some(2)).expect("a file");
-        let serials = configuration(&text).expect("valid").axes.map(|axis| axis.serial);
-        assert_eq!(serials[..2], [5, 6]);
+    }
+
+    #[test]
+    fn a_drive_that_no_axis_uses_is_told_apart_too_but_needs_no_mark() {
+        let marked = |aliases: &[u16]| {
+            let with_alias = |(alias, serial): (&u16, u32)| Found {
+                alias: *alias,
+                ..drive(serial)
+            };
+            let chain: Vec<Found> = aliases.iter().zip(5..).map(with_alias).collect();
+            let config = configuration(&composed(Kind::CoreXy, &chain, Some(2)).expect("a file")).expect("valid");
+            [0, 1].map(|axis| (config.axes[axis].alias, config.axes[axis].serial))
+        };
+        // It may be plugged into the place of one that is used.
+        assert_eq!(marked(&[1, 2, 2]), [(0, 5), (0, 6)]);
+        assert_eq!(marked(&[1, 2, 3]), [(1, 0), (2, 0)]);
+        assert_eq!(marked(&[1, 2, 0]), [(1, 0), (2, 0)]);
+        assert_eq!(marked(&[1, 2, 3, 3]), [(1, 0), (2, 0)]);
+    }
+
+    #[test]
+    fn no_file_for_a_chain_that_was_found_names_the_chain_of_its_sample() {
+        for kind in Kind::ALL {
+            let mut chain = vec![terminal("coupler"), terminal("inputs"), terminal("outputs")];
+            chain.extend((1..=4).map(drive));
+            let text = composed(kind, &chain, None).expect("a file");
+            assert!(!text.contains("EK1100") && !text.contains("then the drives"), "{text}");
+            assert_eq!(check(&text), [], "{text}");
+        }
     }
 
     #[test]
