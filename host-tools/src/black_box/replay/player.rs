@@ -18,7 +18,7 @@ use etherpen::robots::{AXES, JointAngles};
 /// Setpoints that the sampler looks at, from the present one on. Those behind the last one of a motion that was
 /// interrupted are not recorded, but the controller had them.
 const LOOK_AHEAD: usize = 12;
-/// Longest time from an order to home to homed axes, ms.
+/// Longest time from an order to home or to enable to what it shows, ms.
 const ORDER_MS: usize = 3;
 
 /// A replay in progress.
@@ -181,8 +181,7 @@ impl<'a, 'q> Player<'a, 'q> {
             None => {}
         }
         // The setpoints come some milliseconds after the power.
-        let enabled = self.events.accepted(before.t_ms, 1, is_enable).is_some();
-        if now.following && !before.following || enabled {
+        if now.following && !before.following || self.is_enabled(index, before, now) {
             self.control.order(SamplerCommand::Power(Power::On));
         }
         if now.following && !before.following {
@@ -216,11 +215,36 @@ impl<'a, 'q> Player<'a, 'q> {
         }
     }
 
+    /// Whether the order to enable is taken between two samples: in the millisecond after its event, or, on a board, up to three
+    /// later. What latches as soon as there is power tells which.
+    fn is_enabled(&self, index: usize, before: &SampleEntry, now: &SampleEntry) -> bool {
+        const LATER_MS: u32 = ORDER_MS as u32;
+        let enabled = match !before.fault && now.fault {
+            true => self
+                .events
+                .accepted(before.t_ms.wrapping_sub(LATER_MS), 1 + LATER_MS, is_enable),
+            false if self.latches_soon(index) => None,
+            false => self.events.accepted(before.t_ms, 1, is_enable),
+        };
+        enabled.is_some()
+    }
+
     /// Whether the axes become homed in one of the next milliseconds: the order is taken then.
     fn is_homed_soon(&self, index: usize) -> bool {
+        self.is_soon(index, |before, now| {
+            before.homed != [true; AXES] && now.homed == [true; AXES]
+        })
+    }
+
+    /// Whether a fault latches in one of the next milliseconds.
+    fn latches_soon(&self, index: usize) -> bool {
+        self.is_soon(index, |before, now| !before.fault && now.fault)
+    }
+
+    fn is_soon(&self, index: usize, happens: impl Fn(&SampleEntry, &SampleEntry) -> bool) -> bool {
         let next = self.samples.get(index..).unwrap_or_default();
         let mut next = next.windows(2).take(ORDER_MS);
-        next.any(|pair| pair[0].homed != [true; AXES] && pair[1].homed == [true; AXES])
+        next.any(|pair| happens(&pair[0], &pair[1]))
     }
 
     fn home(&mut self, near: Option<JointAngles>) {

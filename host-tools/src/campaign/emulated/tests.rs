@@ -45,6 +45,17 @@ fn episodes_against_the_emulated_board_find_nothing() {
     assert_eq!((run.failure, run.resets), (None, 1));
 }
 
+/// On a board an order may be taken a millisecond later than its event says; a drive's fault, or a position that is missing,
+/// counts from then on.
+#[test]
+fn what_is_a_fault_as_soon_as_there_is_power_is_replayed_in_the_millisecond_in_which_the_order_was_taken() {
+    let image = image();
+    for (seed, profile) in [(88_000_007, Profile::Drives), (88_000_013, Profile::Bus)] {
+        let run = run_image(&image, &of_seed(seed, profile));
+        assert_eq!(run.failure, None, "{seed}");
+    }
+}
+
 /// The last black box of an episode, as it was read, and what was seen until then.
 fn last_black_box(image: &Path, episode: &Episode) -> (Vec<u8>, Witness, Run) {
     let (config, world) = prepared(episode).unwrap_or_else(|failed| panic!("{failed:?}"));
