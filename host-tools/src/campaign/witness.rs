@@ -10,6 +10,7 @@ use etherpen::black_box::recording::Origin;
 use etherpen::black_box::{Direction, Event, SAMPLES};
 use etherpen::messages::Command;
 use etherpen::robots::AXES;
+use std::borrow::Cow;
 use std::collections::VecDeque;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
@@ -84,10 +85,7 @@ impl Witness {
         seen.pass(Direction::Sent, frame);
         let arriving = replies.iter().filter(|reply| REPLY_BYTES.contains(&reply.len()));
         for reply in arriving.take(REPLIES_MAX.into()) {
-            // The emulator's network pads short frames.
-            let mut padded = reply.clone();
-            padded.resize(reply.len().max(FRAME_BYTES_MIN), 0);
-            seen.pass(Direction::Received, &padded);
+            seen.pass(Direction::Received, reply);
         }
     }
 
@@ -253,10 +251,10 @@ impl Seen {
                 .filter(|(_, frame)| frame.direction == direction)
                 .map(|(number, frame)| (number, frame.bytes.as_slice()))
                 .collect();
-            let recorded: Vec<&[u8]> = frames
+            let recorded: Vec<Cow<'_, [u8]>> = frames
                 .iter()
                 .filter(|frame| frame.direction == direction)
-                .map(|frame| frame.bytes.as_slice())
+                .map(|frame| on_the_wire(direction, &frame.bytes))
                 .collect();
             let needed = passed.iter().take_while(|(number, _)| is_needed(*number)).count();
             if missed > 0 {
@@ -264,7 +262,7 @@ impl Seen {
                 let mut passed = passed.iter();
                 let found = recorded
                     .iter()
-                    .filter(|bytes| passed.any(|(_, passed)| passed == *bytes))
+                    .filter(|bytes| passed.any(|(_, passed)| *passed == bytes.as_ref()))
                     .count();
                 if found < recorded.len() {
                     return Err(format!("{direction:?}: a frame that was not on the wire"));
@@ -273,7 +271,7 @@ impl Seen {
             }
             let is_at = |end: usize| {
                 let bytes = passed.get(..end).unwrap_or_default().iter().map(|(_, bytes)| *bytes);
-                recorded.len() <= end && bytes.skip(end - recorded.len()).eq(recorded.iter().copied())
+                recorded.len() <= end && bytes.skip(end - recorded.len()).eq(recorded.iter().map(AsRef::as_ref))
             };
             if !(needed..=passed.len()).any(is_at) {
                 let number = |bytes: &[u8]| passed.iter().rposition(|(_, passed)| *passed == bytes);
@@ -297,6 +295,17 @@ impl Seen {
         }
         Ok(())
     }
+}
+
+/// A recorded frame as a witness of the wire has it: the controller pads a short one behind what the driver wrote, and this
+/// emulator's network pads none.
+fn on_the_wire(direction: Direction, bytes: &[u8]) -> Cow<'_, [u8]> {
+    if direction == Direction::Received || bytes.len() >= FRAME_BYTES_MIN {
+        return Cow::Borrowed(bytes);
+    }
+    let mut padded = bytes.to_vec();
+    padded.resize(FRAME_BYTES_MIN, 0);
+    Cow::Owned(padded)
 }
 
 /// What was reported from a time on. Unless all events are there, the first report may be of a change before them.

@@ -56,6 +56,17 @@ fn what_is_a_fault_as_soon_as_there_is_power_is_replayed_in_the_millisecond_in_w
     }
 }
 
+/// Short frames: the board's own request for an address, and answers that were cut off.
+#[test]
+fn short_frames_are_recorded_as_they_were() {
+    let image = image();
+    for (seed, profile) in [(88_000_040, Profile::Drives), (88_000_035, Profile::Bus)] {
+        let machine = Machine::load(DEFAULT_MACHINE).expect("a bundled machine");
+        let run = run_image(&image, &episode(&machine, seed, profile));
+        assert_eq!(run.failure, None, "{seed}");
+    }
+}
+
 /// The last black box of an episode, as it was read, and what was seen until then.
 fn last_black_box(image: &Path, episode: &Episode) -> (Vec<u8>, Witness, Run) {
     let (config, world) = prepared(episode).unwrap_or_else(|failed| panic!("{failed:?}"));
