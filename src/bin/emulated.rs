@@ -177,6 +177,7 @@ mod app {
         wire.clock.release(sampler.take_timer_correction_ns());
         let delay = wire.clock.counts_to(began_at);
         log::MILLISECONDS.store(wire.clock.milliseconds(), Ordering::Relaxed);
+        lockstep::EARLY_US.store(wire.clock.early_us(), Ordering::Relaxed);
         let missed = wire.clock.missed();
         PERIODS_MISSED.store(missed, Ordering::Relaxed);
         let elapsed_ns = wire.clock.elapsed_ns();
@@ -288,10 +289,13 @@ mod app {
         let (serial, measurements) = (context.shared.serial, context.shared.measurements);
         let bits = measurements.disturbance();
         disturb::apply(bits);
-        let ms = log::MILLISECONDS.load(Ordering::Relaxed);
+        let (ms, early_us) = (
+            log::MILLISECONDS.load(Ordering::Relaxed),
+            lockstep::EARLY_US.load(Ordering::Relaxed),
+        );
         load::urgent(
             || measurements.critical_counts(),
-            || serial.exchange(ms, bits & disturbance::SERIAL != 0),
+            || serial.exchange((ms, early_us), bits & disturbance::SERIAL != 0),
         );
         rtic::pend(Interrupt::FREE18);
     }

@@ -80,6 +80,7 @@ impl Segment for Connected {
         match self.is_off.load(Ordering::Acquire) {
             true => Vec::new(),
             false => {
+                self.witness.reaches(time_us);
                 let replies = self.segment.frame(time_us, frame);
                 self.witness.passes(frame, &replies);
                 replies
@@ -89,6 +90,7 @@ impl Segment for Connected {
 
     fn advance_to(&mut self, time_us: u64) {
         if !self.is_off.load(Ordering::Acquire) {
+            self.witness.reaches(time_us);
             self.segment.advance_to(time_us);
         }
     }

@@ -51,6 +51,9 @@ struct Seen {
     /// Numbers of frames that had passed at the last exchanges of the link, oldest first.
     at_exchanges: VecDeque<u64>,
     now_ms: u32,
+    /// Time that the wire and the cell have reached, us, and how far a frame came behind it.
+    reached_us: u64,
+    behind_us: u64,
     /// The true joint angles of each millisecond; `None` where the feedback is not true.
     angles: VecDeque<(u32, Option<[f64; AXES]>)>,
     /// Changes of mode and fault that were reported, with their milliseconds.
@@ -89,6 +92,14 @@ impl Witness {
         }
     }
 
+    /// The wire or the cell has come to a time, us.
+    pub(super) fn reaches(&self, time_us: u64) {
+        let mut seen = self.seen();
+        let behind_us = seen.reached_us.saturating_sub(time_us);
+        seen.behind_us = seen.behind_us.max(behind_us);
+        seen.reached_us = seen.reached_us.max(time_us);
+    }
+
     /// A millisecond of the link: the motors' true angles, `None` where an encoder does not show them, and what was last
     /// reported.
     pub(super) fn moment(&self, ms: u32, angles_rad: Option<[f64; AXES]>, reported: Option<(Mode, Option<Fault>)>) {
@@ -119,6 +130,9 @@ impl Witness {
     /// What is missing or different, in words.
     pub(super) fn check(&self, contents: &Contents, origin: Origin, drives: usize) -> Result<(), String> {
         let seen = self.seen();
+        if seen.behind_us > 0 {
+            return Err(format!("the cell was {} us ahead of a frame", seen.behind_us));
+        }
         let summary = &contents.summary;
         if summary.origin != origin {
             return Err(format!("it is that of {:?}", summary.origin));

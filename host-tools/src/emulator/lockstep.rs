@@ -22,7 +22,7 @@ const POLL_PERIOD: Timespec = Timespec {
 };
 const FRAME_BYTES_MAX: usize = 2048;
 const BUS_RECORD_BYTES: usize = 8;
-const LINK_HEADER_BYTES: usize = 5;
+const LINK_HEADER_BYTES: usize = 9;
 /// Most replies to one frame that fit the controller's receive FIFO, whatever their length.
 pub(crate) const REPLIES_MAX: u8 = 6;
 /// Frame lengths that the emulated controller accepts, bytes.
@@ -224,7 +224,7 @@ impl<S: Segment, L: Link> Lockstep<S, L> {
 
     fn answer_link(&mut self) -> Result<bool, EmulatorError> {
         self.files.link_up.read().map_err(failed("reading from"))?;
-        let Some([a, b, c, d, length]) = self.files.link_up.bytes.first_chunk().copied() else {
+        let Some([a, b, c, d, e, f, g, h, length]) = self.files.link_up.bytes.first_chunk().copied() else {
             return Ok(false);
         };
         let length = usize::from(length);
@@ -234,7 +234,8 @@ impl<S: Segment, L: Link> Lockstep<S, L> {
         };
         let ms = u32::from_le_bytes([a, b, c, d]);
         self.traffic.milliseconds = ms;
-        let time_us = u64::from(ms) * 1000;
+        let early_us = i32::from_le_bytes([e, f, g, h]);
+        let time_us = (u64::from(ms) * 1000).saturating_add_signed(-i64::from(early_us));
         if time_us > self.time_us {
             self.time_us = time_us;
             self.segment.advance_to(time_us);

@@ -9,9 +9,10 @@
 //! |---|---|---|
 //! | `bus.up` | to the host | u64 time in us, after a frame was handed to the MAC |
 //! | `bus.down` | to the firmware | u8 token: how many replies the host has just sent |
-//! | `link.up` | to the host | u32 ms, u8 n, n bytes |
+//! | `link.up` | to the host | u32 ms, i32 us by which it began before `ms` times 1000, u8 n, n bytes |
 //! | `link.down` | to the firmware | u8 n, n bytes |
 //!
+//! A millisecond begins early where the timer follows a bus clock that is faster; the times in `bus.up` follow none.
 //! Numbers are little endian, n is at most [`LINK_BYTES_MAX`]. In `link.down` two other first bytes come before the record,
 //! each with one byte more:
 //!
@@ -22,11 +23,12 @@
 
 use super::memory;
 use super::semihosting::{self, Closed, EXIT_HOST_GONE, File};
+use core::sync::atomic::AtomicI32;
 
 /// Bytes of the serial link in a millisecond and direction: 921,600 baud with 10 bits a byte.
 pub(crate) const LINK_BYTES_MAX: usize = 92;
 
-const LINK_UP_HEADER_BYTES: usize = 5;
+const LINK_UP_HEADER_BYTES: usize = 9;
 /// First bytes of what is no record.
 const MEMORY: u8 = 0xFF;
 const AROUND: u8 = 0xFE;
@@ -59,6 +61,9 @@ pub(crate) mod around {
         BITS.store(bits, Ordering::Relaxed);
     }
 }
+
+/// By how many microseconds the present millisecond began before its number times 1000.
+pub(crate) static EARLY_US: AtomicI32 = AtomicI32::new(0);
 
 /// The token exchange of the Ethernet frames.
 #[derive(Clone, Copy)]
@@ -104,11 +109,12 @@ impl Bus {
 impl Link {
     /// Sends the bytes that `fill` writes into the buffer (it returns their number), and returns the bytes from the
     /// host.
-    pub(crate) fn exchange(&mut self, ms: u32, fill: impl FnOnce(&mut [u8]) -> usize) -> &[u8] {
+    pub(crate) fn exchange(&mut self, (ms, early_us): (u32, i32), fill: impl FnOnce(&mut [u8]) -> usize) -> &[u8] {
         let (header, bytes) = self.sent.split_at_mut(LINK_UP_HEADER_BYTES);
         let length = fill(bytes).min(LINK_BYTES_MAX);
         header[..4].copy_from_slice(&ms.to_le_bytes());
-        header[4] = length as u8;
+        header[4..8].copy_from_slice(&early_us.to_le_bytes());
+        header[8] = length as u8;
         or_end(self.up.write(&self.sent[..LINK_UP_HEADER_BYTES + length]));
         loop {
             let mut have = or_end(self.down.read(&mut self.received));

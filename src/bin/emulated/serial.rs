@@ -35,8 +35,8 @@ impl Serial {
         }
     }
 
-    /// Exchanges the bytes of millisecond `ms`; `flood` fills the capacity that the firmware leaves free.
-    pub(crate) fn exchange(&mut self, ms: u32, flood: bool) {
+    /// Exchanges the bytes of a millisecond, with the time by which it began early, us; `flood` fills the capacity that the firmware leaves free.
+    pub(crate) fn exchange(&mut self, (ms, early_us): (u32, i32), flood: bool) {
         let Self {
             bytes,
             route,
@@ -58,7 +58,7 @@ impl Serial {
         };
         match route {
             Route::Lockstep(link) => {
-                let received = link.exchange(ms, send);
+                let received = link.exchange((ms, early_us), send);
                 if noise.is_open() && !received.is_empty() {
                     bytes.received(&[noise.end()]);
                 }

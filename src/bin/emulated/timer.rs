@@ -263,6 +263,13 @@ impl Clock {
         (self.counts + u64::from(self.elapsed_counts())) / COUNTS_PER_US
     }
 
+    /// By how many microseconds this release is earlier than without corrections by the bus clock.
+    pub(crate) fn early_us(&self) -> i32 {
+        let uncorrected = u64::from(self.releases.saturating_sub(1)) * u64::from(PERIOD_COUNTS);
+        let early = uncorrected.wrapping_sub(self.counts) as i64;
+        (early / COUNTS_PER_US as i64) as i32
+    }
+
     /// Number of this millisecond, counted from 0.
     pub(crate) fn milliseconds(&self) -> u32 {
         self.releases.saturating_sub(1) / RELEASES_PER_MS

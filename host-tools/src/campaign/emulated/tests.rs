@@ -56,6 +56,16 @@ fn what_is_a_fault_as_soon_as_there_is_power_is_replayed_in_the_millisecond_in_w
     }
 }
 
+/// Its milliseconds are shorter than the computer's, so after 18 s there is half a millisecond between their counts.
+#[test]
+fn the_cell_is_never_ahead_of_a_board_that_follows_a_faster_clock() {
+    let machine = Machine::load(DEFAULT_MACHINE).expect("a bundled machine");
+    let run = run_image(&image(), &episode(&machine, 88_000_057, Profile::Quiet));
+    println!("{run:?}");
+    assert_eq!(run.failure, None);
+    assert!(run.passed_ms > 18_000);
+}
+
 /// Short frames: the board's own request for an address, and answers that were cut off.
 #[test]
 fn short_frames_are_recorded_as_they_were() {
