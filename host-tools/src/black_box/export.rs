@@ -9,7 +9,8 @@
 
 use super::contents::{Contents, EventEntry, SampleEntry};
 use crate::recording::mcap::{Topic, Writer};
-use crate::recording::messages::{self, BLACK_BOX, EVENT, GAP, Gap, Moment, SAMPLE, Severity, TOPICS};
+use crate::recording::messages::{self, BLACK_BOX, EVENT, GAP, Gap, NAMES, SAMPLE, Severity};
+use crate::recording::moment::{Moment, SampleAxes};
 use etherpen::application::Mode;
 use etherpen::black_box::{Direction, Event};
 use etherpen::board::Interlock;
@@ -19,10 +20,11 @@ use etherpen::messages::{IoValues, Sample};
 use etherpen::motion::Pen;
 use etherpen::robots::{AXES, JointAngles, Kinematics, Position};
 use etherpen_segment::capture::{self, Capture};
+use std::borrow::Cow;
 use std::io;
 
 /// Channel of the samples as recorded.
-const RECORDED: u16 = TOPICS.len() as u16 + 1;
+const RECORDED: u16 = NAMES.len() as u16 + 1;
 /// Header of a message: plain CDR, little-endian.
 const ENCAPSULATION: [u8; 4] = [0, 1, 0, 0];
 const MILLISECOND_NS: u64 = 1_000_000;
@@ -31,7 +33,8 @@ const MILLISECOND_NS: u64 = 1_000_000;
 const RECORDED_TOPIC: Topic = Topic {
     name: BLACK_BOX,
     schema_name: "etherpen/msg/BlackBox",
-    schema: "# What a black box records of one millisecond, beside the angles in /sample.\n\
+    schema: Cow::Borrowed(
+        "# What a black box records of one millisecond, beside the positions in /sample.\n\
              uint32 t_ms\nfloat32 clock_error_ns  # NaN without a clock\n\
              uint16 frames_lost  # lower 16 bits\nuint16 cycles_late  # lower 8 bits\n\
              uint16 status_word1\nuint16 status_word2\nuint16 status_word3\nuint16 status_word4\n\
@@ -41,6 +44,7 @@ const RECORDED_TOPIC: Topic = Topic {
              uint8 interlock  # 1 emergency stop, 2 clock, 3 emergency stop by a terminal\n\
              uint8 valid1\nuint8 valid2\nuint8 valid3\nuint8 valid4\n\
              uint8 homed1\nuint8 homed2\nuint8 homed3\nuint8 homed4\n",
+    ),
 };
 
 const _: () = assert!(AXES == 4, "the schema lists four axes");
@@ -77,7 +81,8 @@ pub fn pcapng(contents: &Contents) -> io::Result<Vec<u8>> {
 /// The configuration cannot be written as text.
 pub fn mcap(contents: &Contents, config: Option<&Config>) -> io::Result<Vec<u8>> {
     let library = concat!("etherpen ", env!("CARGO_PKG_VERSION"));
-    let [sample, gap, status, event] = TOPICS;
+    let axes = config.map_or(SampleAxes::ROTARY, SampleAxes::of);
+    let [sample, gap, status, event] = messages::topics(&axes);
     let mut writer = Writer::new(Vec::new(), &[sample, gap, status, event, RECORDED_TOPIC], library)?;
     let hash = config.and_then(Config::hash);
     let facts = [
@@ -95,7 +100,7 @@ pub fn mcap(contents: &Contents, config: Option<&Config>) -> io::Result<Vec<u8>>
         writer.attach("etherpen.toml", "application/toml", text.as_bytes(), 0)?;
     }
     let mut pending = event_messages(contents);
-    pending.extend(sample_messages(contents, config));
+    pending.extend(sample_messages(contents, config, &axes));
     // Events come before the sample of their millisecond.
     pending.sort_by_key(|message| message.time_ns);
     for message in &pending {
@@ -153,7 +158,7 @@ fn severity(entry: &EventEntry) -> (Severity, &'static str) {
     }
 }
 
-fn sample_messages(contents: &Contents, config: Option<&Config>) -> Vec<Message> {
+fn sample_messages(contents: &Contents, config: Option<&Config>, axes: &SampleAxes) -> Vec<Message> {
     let kinematics = config.and_then(|config| Kinematics::new(&config.geometry).ok());
     let samples = &contents.samples;
     let mut modes = Modes::new(&contents.events);
@@ -173,7 +178,7 @@ fn sample_messages(contents: &Contents, config: Option<&Config>) -> Vec<Message>
             sample: sample(entry, modes.at(entry), speeds(before, entry, samples.get(index + 1))),
             position: position(kinematics.as_ref(), entry),
         };
-        put(SAMPLE, &|data| moment.encode(data));
+        put(SAMPLE, &|data| moment.encode(axes, data));
         put(RECORDED, &|data| encode_recorded(entry, data));
     }
     found

@@ -9,7 +9,9 @@ use super::operator::Operator;
 use super::witness::Witness;
 use super::world::World;
 use super::{Failure, LIMIT_MS, Rule, Run, begun_later, caught, prepared, with_resets};
-use crate::emulator::{Area, Around, Emulator, EmulatorError, LINK_BYTES_MAX, Later, Link, Options, Segment, Traffic};
+use crate::emulator::{
+    Area, Around, Emulator, EmulatorError, LINK_BYTES_MAX, Later, Link, OneProcessor, Options, Segment, Traffic,
+};
 use crate::simulation::{Host, Surroundings};
 use etherpen::black_box::recording::Origin;
 use etherpen::board::PortState;
@@ -112,9 +114,15 @@ impl<'p> Plan<'p> {
     }
 }
 
-/// Runs an episode against a firmware image.
+thread_local! {
+    /// The operator takes turns with the emulator and who answers it.
+    static PROCESSOR: OneProcessor = OneProcessor::take();
+}
+
+/// Runs an episode against a firmware image. From then on the thread stays on one processor.
 #[must_use]
 pub fn run_image(image: &Path, episode: &Episode) -> Run {
+    PROCESSOR.with(|_| ());
     caught(|| {
         let (config, world) = match prepared(episode) {
             Ok(prepared) => prepared,

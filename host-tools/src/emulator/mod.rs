@@ -13,12 +13,14 @@ pub mod free_running;
 mod lockstep;
 mod log;
 mod process;
+mod processor;
 pub mod tcp_line;
 
 pub(crate) use client::ClientSlot;
 pub use error::EmulatorError;
 pub(crate) use lockstep::{REPLIES_MAX, REPLY_BYTES};
 pub use log::LogLine;
+pub(crate) use processor::OneProcessor;
 
 use etherpen::black_box::MEMORY_BYTES;
 use lockstep::{Lockstep, Options as LockstepOptions};
@@ -261,6 +263,7 @@ impl Emulator {
         let socket = bind(&directory)?;
         let firmware_socket = directory.join(FIRMWARE_SOCKET);
         let arguments = arguments(image, options)?;
+        let _together = OneProcessor::take();
         let process = Process::start(&options.qemu, &arguments, directory)?;
         let stop = Arc::new(AtomicBool::new(false));
         let lockstep = Lockstep::new(

@@ -8,10 +8,12 @@
 //! entry for each second: `etherpen bench recording --hours 24` measures 2.7 MB.
 
 mod bytes;
+mod cdr;
 pub mod export;
 pub mod file;
 pub mod mcap;
 pub mod messages;
+pub mod moment;
 pub mod parquet;
 pub mod playback;
 pub mod plot;

@@ -2,8 +2,9 @@
 //!
 //! Invariant: unreadable parts are counted and reported; all readable parts are returned.
 
-use super::mcap::{Ending, Notice, Reader, Source};
-use super::messages::{BLACK_BOX, Event, Gap, Moment, State, TOPICS};
+use super::mcap::{Ending, Message, Notice, Reader, Source};
+use super::messages::{BLACK_BOX, Event, Gap, NAMES, State};
+use super::moment::{Moment, SampleAxes};
 use etherpen::config::Config;
 use std::fs::File;
 use std::io::{self, BufReader};
@@ -28,6 +29,8 @@ pub enum RecordingEntry {
 /// A recording being read.
 pub struct Playback<R> {
     reader: Reader<R>,
+    /// The axes in its samples, once one has been read.
+    axes: Option<SampleAxes>,
     /// Number of messages that do not belong to a recording.
     foreign: u64,
 }
@@ -50,7 +53,11 @@ impl<R: Source> Playback<R> {
     pub fn new(source: R) -> io::Result<Self> {
         let mut reader = Reader::new(source)?;
         reader.begin()?;
-        Ok(Self { reader, foreign: 0 })
+        Ok(Self {
+            reader,
+            axes: None,
+            foreign: 0,
+        })
     }
 
     /// Leaves out earlier and later entries, s since the beginning of the recording.
@@ -87,7 +94,7 @@ impl<R: Source> Playback<R> {
             let Some(message) = self.reader.next_message()? else {
                 return Ok(None);
             };
-            let entry = decode(message.topic, message.data);
+            let entry = decode(&message, &mut self.axes);
             let time_ns = message.time_ns;
             let since_ns = time_ns.saturating_sub(start_ns.unwrap_or(time_ns));
             match entry {
@@ -139,10 +146,17 @@ impl<R: Source> Playback<R> {
     }
 }
 
-fn decode(topic: &str, data: &[u8]) -> Option<RecordingEntry> {
-    let [sample, gap, status, event] = TOPICS.map(|topic| topic.name);
-    match topic {
-        name if name == sample => Moment::decode(data).map(RecordingEntry::Moment),
+fn decode(message: &Message<'_>, axes: &mut Option<SampleAxes>) -> Option<RecordingEntry> {
+    let [sample, gap, status, event] = NAMES;
+    let data = message.data;
+    match message.topic {
+        name if name == sample => {
+            let axes = axes.get_or_insert_with(|| match message.schema {
+                "" => SampleAxes::ROTARY,
+                schema => SampleAxes::of_schema(schema),
+            });
+            Moment::decode(axes, data).map(RecordingEntry::Moment)
+        }
         name if name == gap => Gap::decode(data).map(RecordingEntry::Gap),
         name if name == status => State::decode(data).map(RecordingEntry::State),
         name if name == event => Event::decode(data).map(RecordingEntry::Event),

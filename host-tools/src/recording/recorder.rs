@@ -6,7 +6,8 @@
 //! follows it.
 
 use super::mcap::Writer;
-use super::messages::{EVENT, Event, GAP, Gap, Moment, SAMPLE, STATUS, Severity, State, TOPICS};
+use super::messages::{self, EVENT, Event, GAP, Gap, SAMPLE, STATUS, Severity, State};
+use super::moment::{Moment, SampleAxes};
 use crate::link::text;
 use etherpen::application::{Fault, Mode};
 use etherpen::config::Config;
@@ -93,6 +94,7 @@ pub struct Written {
 /// Writes one recording.
 pub struct Recorder<S> {
     writer: Writer<S>,
+    axes: SampleAxes,
     kinematics: Option<Kinematics>,
     /// Age of a measurement when it is compared with its reference, samples.
     age: usize,
@@ -120,8 +122,9 @@ impl<S: Storage> Recorder<S> {
     /// Errors of the storage.
     pub fn new(storage: S, about: &About) -> io::Result<Self> {
         let library = concat!("etherpen ", env!("CARGO_PKG_VERSION"));
-        let mut writer = Writer::new(storage, &TOPICS, library)?;
         let config = about.config;
+        let axes = SampleAxes::of(config);
+        let mut writer = Writer::new(storage, &messages::topics(&axes), library)?;
         let hash = config.hash().map_or_else(String::new, |hash| format!("{hash:016x}"));
         let facts = [
             ("source", about.source.to_owned()),
@@ -134,6 +137,7 @@ impl<S: Storage> Recorder<S> {
         writer.attach("etherpen.toml", "application/toml", text.as_bytes(), about.begin_ns)?;
         Ok(Self {
             writer,
+            axes,
             kinematics: Kinematics::new(&config.geometry).ok(),
             age: config
                 .axes
@@ -196,7 +200,7 @@ impl<S: Storage> Recorder<S> {
             sample: Sample { stroke, pen, ..*sample },
             position: position.unwrap_or_default(),
         };
-        moment.encode(&mut self.message);
+        moment.encode(&self.axes, &mut self.message);
         self.put(SAMPLE, time_ns)?;
         self.taken.samples += 1;
         Ok(())

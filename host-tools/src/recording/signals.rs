@@ -4,7 +4,7 @@
 //! position, which is the input of the controller. Linear axes have millimetres. Invariant: a value that needs samples from before a gap is missing, not
 //! wrong.
 
-use super::messages::{Moment, axes};
+use super::moment::{Moment, axes};
 use crate::axes::{Motion, Quantity as JointQuantity};
 use etherpen::application::Mode;
 use etherpen::config::{Config, IoPoint, IoType};

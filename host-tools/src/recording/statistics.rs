@@ -4,7 +4,7 @@
 //! taken, does not count as a speed.
 
 use super::mcap::Source;
-use super::messages::Moment;
+use super::moment::Moment;
 use super::signals::{Evaluator, Signal, columns, errors};
 use super::{Playback, RecordingEntry};
 use crate::axes::{PerAxis, axes};

@@ -14,6 +14,7 @@ pub use reader::{Ending, Message, Notice, Reader, Source};
 pub use writer::Writer;
 
 use crc::{CRC_32_ISO_HDLC, Crc, Table};
+use std::borrow::Cow;
 
 /// First and last bytes of a file.
 pub const MAGIC: [u8; 8] = *b"\x89MCAP0\r\n";
@@ -42,14 +43,14 @@ mod kind {
 }
 
 /// A channel and the schema of its messages; the channel's number is its place in the list of topics, from 1.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Debug)]
 pub struct Topic {
     /// Name of the channel, `/sample`.
     pub name: &'static str,
     /// Name of the schema, `package/msg/Type`.
     pub schema_name: &'static str,
     /// The schema, a ROS 2 message definition.
-    pub schema: &'static str,
+    pub schema: Cow<'static, str>,
 }
 
 /// Encoding of the schemas.

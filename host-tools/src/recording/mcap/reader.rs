@@ -11,6 +11,8 @@ use std::io::{self, BufReader, PipeReader, Read};
 
 /// Longest record read into memory, bytes; all records of a recording are shorter.
 const RECORD_BYTES_MAX: u64 = 64 << 20;
+/// Longest schema kept, bytes; all schemas of a recording are shorter.
+const SCHEMA_BYTES_MAX: usize = 64 << 10;
 /// Most notices kept; further ones are counted.
 const NOTICES_MAX: usize = 100;
 
@@ -49,6 +51,8 @@ impl Source for &[u8] {
 pub struct Message<'a> {
     /// Name of its channel; empty if the file does not define it.
     pub topic: &'a str,
+    /// The definition of its content; empty if the file does not have it.
+    pub schema: &'a str,
     /// Its time, ns.
     pub time_ns: u64,
     /// Its data.
@@ -88,8 +92,10 @@ pub struct Reader<R> {
     range_ns: (u64, u64),
     /// First time of the file, ns.
     start_ns: Option<u64>,
-    /// Topics by channel number.
-    topics: HashMap<u16, String>,
+    /// Topics by channel number, with the numbers of their schemas.
+    topics: HashMap<u16, (String, u16)>,
+    /// Schemas by number.
+    schemas: HashMap<u16, String>,
     attachments: Vec<(String, Vec<u8>)>,
     metadata: Vec<(String, Vec<(String, String)>)>,
     /// Records of the open chunk, and how far they have been read.
@@ -125,6 +131,7 @@ impl<R: Source> Reader<R> {
             range_ns: (0, u64::MAX),
             start_ns: None,
             topics: HashMap::new(),
+            schemas: HashMap::new(),
             attachments: Vec::new(),
             metadata: Vec::new(),
             chunk: Vec::new(),
@@ -205,7 +212,10 @@ impl<R: Source> Reader<R> {
         };
         let topic = self.topics.get(&found.channel);
         Ok(Some(Message {
-            topic: topic.map_or("", String::as_str),
+            topic: topic.map_or("", |(name, _)| name),
+            schema: topic
+                .and_then(|(_, id)| self.schemas.get(id))
+                .map_or("", String::as_str),
             time_ns: found.time_ns,
             data: self.chunk.get(found.begin..found.end).unwrap_or(&[]),
         }))
@@ -244,9 +254,9 @@ impl<R: Source> Reader<R> {
                     }
                     self.notice(Notice::Malformed { kind });
                 }
-                kind::CHANNEL => {
+                kind::CHANNEL | kind::SCHEMA => {
                     let content = self.chunk.get(begin..end).unwrap_or(&[]).to_vec();
-                    self.take_channel(&content);
+                    self.take_record(kind, &[], &content);
                 }
                 _ => {}
             }
@@ -265,10 +275,12 @@ impl<R: Source> Reader<R> {
         };
         match kind {
             kind::CHUNK => self.take_chunk(length)?,
-            kind::MESSAGE | kind::CHANNEL | kind::ATTACHMENT | kind::METADATA => match self.content(length)? {
-                Some(content) => self.take_record(kind, &head, &content),
-                None => self.ending = Some(Ending::CutOff),
-            },
+            kind::MESSAGE | kind::CHANNEL | kind::SCHEMA | kind::ATTACHMENT | kind::METADATA => {
+                match self.content(length)? {
+                    Some(content) => self.take_record(kind, &head, &content),
+                    None => self.ending = Some(Ending::CutOff),
+                }
+            }
             kind::FOOTER => self.ending = Some(Ending::Complete),
             _ => self.source.skip(length)?,
         }
@@ -278,6 +290,7 @@ impl<R: Source> Reader<R> {
     fn take_record(&mut self, kind: u8, head: &[u8], content: &[u8]) {
         match kind {
             kind::CHANNEL => self.take_channel(content),
+            kind::SCHEMA => self.take_schema(content),
             kind::ATTACHMENT => self.take_attachment(content),
             kind::METADATA => match metadata(content) {
                 Some(metadata) => self.metadata.push(metadata),
@@ -357,10 +370,22 @@ impl<R: Source> Reader<R> {
     fn take_channel(&mut self, content: &[u8]) {
         let mut fields = Fields::new(content);
         match (fields.short(), fields.short(), fields.text()) {
-            (Some(id), Some(_), Some(topic)) => {
-                self.topics.entry(id).or_insert_with(|| topic.to_owned());
+            (Some(id), Some(schema), Some(topic)) => {
+                self.topics.entry(id).or_insert_with(|| (topic.to_owned(), schema));
             }
             _ => self.notice(Notice::Malformed { kind: kind::CHANNEL }),
+        }
+    }
+
+    fn take_schema(&mut self, content: &[u8]) {
+        let mut fields = Fields::new(content);
+        match (fields.short(), fields.text(), fields.text(), fields.text()) {
+            (Some(id), Some(_), Some(_), Some(schema)) if schema.len() <= SCHEMA_BYTES_MAX => {
+                self.schemas.entry(id).or_insert_with(|| schema.to_owned());
+            }
+            // It is left out, and nobody asks for it.
+            (Some(_), Some(_), Some(_), Some(_)) => {}
+            _ => self.notice(Notice::Malformed { kind: kind::SCHEMA }),
         }
     }
 

@@ -5,12 +5,12 @@ const TOPICS: [Topic; 2] = [
     Topic {
         name: "/a",
         schema_name: "x/msg/A",
-        schema: "uint32 a\n",
+        schema: Cow::Borrowed("uint32 a\n"),
     },
     Topic {
         name: "/b",
         schema_name: "x/msg/B",
-        schema: "uint8 b\n",
+        schema: Cow::Borrowed("uint8 b\n"),
     },
 ];
 
@@ -51,6 +51,7 @@ fn what_was_written_is_read_with_its_topics_and_what_is_attached() {
     assert_eq!(reader.metadata()[0].1, [("key".to_owned(), "value".to_owned())]);
     let message = reader.next_message().unwrap().unwrap();
     assert_eq!((message.topic, message.time_ns, message.data), ("/a", 0, &[0; 4][..]));
+    assert_eq!(message.schema, "uint32 a\n");
     let (found, ending, notices) = numbers(&bytes).unwrap();
     assert_eq!(found, (0..30).collect::<Vec<u32>>());
     assert_eq!((ending, notices), (Some(Ending::Complete), 0));

@@ -91,7 +91,7 @@ impl<W: Write> Writer<W> {
                 content.extend(id.to_le_bytes());
                 put_text(content, channel.topic.schema_name);
                 put_text(content, SCHEMA_ENCODING);
-                put_text(content, channel.topic.schema);
+                put_text(content, &channel.topic.schema);
             });
         }
         for (id, channel) in (1_u16..).zip(&self.channels) {
@@ -374,7 +374,7 @@ impl<W: Write> Writer<W> {
 
 fn channel(topic: &Topic) -> Channel {
     Channel {
-        topic: *topic,
+        topic: topic.clone(),
         sequence: 0,
         messages: 0,
         index: Vec::new(),
