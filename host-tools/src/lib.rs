@@ -15,8 +15,8 @@
 //! 5. `drawing::preparation`, `recording`, `settings`, `captured_cell`, `segment`, `simulation`: from a file to an
 //!    admitted path; recordings of telemetry; configuration files; the cell with a capture of its bus; the cell for any
 //!    master; firmware in virtual time
-//! 6. `job`, `black_box`: tasks over one connection to the firmware, their progress, and how they go on after an
-//!    interruption; a controller's last two seconds, taken apart and exported
+//! 6. `job`, `black_box`, `calibration`: tasks over one connection to the firmware, their progress, and how they go on
+//!    after an interruption; a controller's last two seconds, taken apart and exported; a machine's dimensions from marks
 //! 7. `machine`, `run`, `report`, `doctor`, `campaign`: one machine with several users; one drawing against the virtual
 //!    cell; its figures; checks of what the commands need; random episodes under the monitor
 //! 8. `report::output`, `bus`, `console`: the files of a drawing; diagnosis of an EtherCAT bus; the console in the browser
@@ -32,6 +32,7 @@ pub mod axes;
 pub mod bench;
 pub mod black_box;
 pub mod bus;
+pub mod calibration;
 pub mod campaign;
 pub mod captured_cell;
 pub mod cell;

@@ -3,8 +3,9 @@
 
 use clap::{Command, CommandFactory, FromArgMatches, Parser};
 use host_tools::commands::{
-    bench, blackbox, bus, campaign, configuration, console, demo, doctor, draw, emulate, flash, identify, kinematics,
-    operate, order, paper, plan, preview, record, recorded, reference, segment, shell, simulate, vectorize, verify,
+    bench, blackbox, bus, calibrate, campaign, configuration, console, demo, doctor, draw, emulate, flash, identify,
+    kinematics, operate, order, paper, plan, preview, record, recorded, reference, segment, shell, simulate, vectorize,
+    verify,
 };
 use host_tools::drawing::preparation::confined;
 use host_tools::eprintln;
@@ -58,6 +59,8 @@ enum Subcommand {
     /// Home: find the robot's pose from the resolvers, at the marks or at a known pose, and store it.
     #[command(visible_alias = "home")]
     Reference(reference::Arguments),
+    /// Find the dimensions of the machine from marks that it drew, and store them.
+    Calibrate(calibrate::Arguments),
     /// Measure the drives' delay and gain with a test motion, and store the resulting controller values.
     Identify(identify::Arguments),
     /// Show where the sheet lies, or find its height and tilt from places where the pen touches it, and store them.
@@ -113,6 +116,7 @@ fn main() -> ExitCode {
         Subcommand::Bench(arguments) => bench::run(&arguments),
         Subcommand::Blackbox(arguments) => blackbox::run(&arguments),
         Subcommand::Bus(arguments) => bus::run(&arguments),
+        Subcommand::Calibrate(arguments) => calibrate::run(&arguments),
         Subcommand::Campaign(arguments) => campaign::run(&arguments),
         Subcommand::Completions(arguments) => shell::completions(&arguments, command_line()),
         Subcommand::Confined => confined::run(),

@@ -7,6 +7,7 @@
 //! the file is replaced as a whole or not at all.
 
 pub mod checking;
+pub mod dimensions;
 pub mod machines;
 pub mod reading;
 pub mod sheet;
@@ -324,6 +325,11 @@ impl Settings {
     /// # Errors
     /// [`SettingsError`]; the file is unchanged.
     pub fn save(&self, path: &Path) -> Result<(), SettingsError> {
+        self.write(path, others)
+    }
+
+    /// Writes the file, in which what `others` keeps has to be as it was.
+    fn write(&self, path: &Path, others: fn(&Config) -> Config) -> Result<(), SettingsError> {
         let now = self.config()?;
         if self
             .before

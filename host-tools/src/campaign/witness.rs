@@ -33,6 +33,8 @@ const REPORTED_MS: u32 = 1_000;
 /// How much earlier and later than its millisecond a sample's position may have been true, ms.
 const SHOWN_BEFORE_MS: u32 = 6;
 const SHOWN_AFTER_MS: u32 = 1;
+/// Any distance of an axis from its motor.
+const ANYWHERE: (f64, f64) = (f64::NEG_INFINITY, f64::INFINITY);
 /// By how much a measured angle may differ from those, rad.
 const ANGLE_RAD: f64 = 1e-3;
 
@@ -192,7 +194,8 @@ impl Seen {
             return Ok(());
         }
         for axis in 0..drives.min(AXES) {
-            let mut offset_rad = None;
+            // Wherever the robot was told that it stands: what all samples leave of the distance from the motor.
+            let mut distance_rad = ANYWHERE;
             for sample in &contents.samples {
                 let (from_ms, to_ms) = (
                     sample.t_ms.saturating_sub(SHOWN_BEFORE_MS),
@@ -206,17 +209,16 @@ impl Seen {
                         (low.min(angle), high.max(angle))
                     });
                 if !sample.valid[axis] || !sample.homed[axis] || low > high {
-                    offset_rad = None;
+                    distance_rad = ANYWHERE;
                     continue;
                 }
                 let measured_rad = f64::from(sample.measured_rad[axis]);
-                // Wherever the robot was told that it stands.
-                let middle_rad = f64::midpoint(low, high);
-                let offset = *offset_rad.get_or_insert(measured_rad - middle_rad);
-                let off_rad = (measured_rad - offset - middle_rad).abs();
-                if off_rad > (high - low) + 2.0 * ANGLE_RAD {
+                let (least_rad, most_rad) = (measured_rad - high - ANGLE_RAD, measured_rad - low + ANGLE_RAD);
+                distance_rad = (distance_rad.0.max(least_rad), distance_rad.1.min(most_rad));
+                let off_rad = distance_rad.0 - distance_rad.1;
+                if off_rad > 0.0 {
                     return Err(format!(
-                        "axis {}: {off_rad:.4} rad from the motor at {} ms",
+                        "axis {}: {off_rad:.4} rad further from the motor at {} ms than before",
                         axis + 1,
                         sample.t_ms
                     ));

@@ -5,6 +5,7 @@
 pub mod bench;
 pub mod blackbox;
 pub mod bus;
+pub mod calibrate;
 pub mod campaign;
 pub mod configuration;
 pub mod console;

@@ -1,0 +1,233 @@
+//! Calibration against machines whose arms differ from each other, with mechanics of their own; and against wrong tables.
+
+use super::*;
+use crate::random::Random;
+use etherpen::robots::Geometry;
+
+/// A delta robot with a length of its own for each arm. Its kinematics are three spheres, solved by Newton's method: no code of the
+/// controller's.
+struct Arms {
+    azimuth_rad: [f64; 3],
+    offset_mm: [f64; 3],
+    upper_mm: [f64; 3],
+    forearm_mm: [f64; 3],
+    sync_rad: [f64; 3],
+}
+
+impl Arms {
+    fn new(config: &Config, random: &mut Random) -> Self {
+        let Geometry::Delta(delta) = config.geometry else {
+            panic!("a delta robot");
+        };
+        let mut signed = |size: f64| if random.unit() < 0.5 { -size } else { size };
+        let mut three = |value: f64, size: f64| [(); 3].map(|()| value + signed(size));
+        Self {
+            offset_mm: three(delta.base_radius_mm - delta.platform_radius_mm, 0.5),
+            upper_mm: three(delta.upper_arm_mm, 0.5),
+            forearm_mm: three(delta.forearm_mm, 0.5),
+            azimuth_rad: {
+                let off = three(0.0, 0.001);
+                [0, 1, 2].map(|arm| delta.arm_azimuths_deg[arm].to_radians() + off[arm])
+            },
+            sync_rad: three(0.0, 0.002),
+        }
+    }
+
+    /// Where the pen is when the controller believes the arms at these angles.
+    fn place(&self, believed: JointPose) -> [f64; 3] {
+        let centre = |arm: usize| {
+            let angle = believed[arm] + self.sync_rad[arm];
+            let radius = self.offset_mm[arm] + self.upper_mm[arm] * angle.cos();
+            let (sine, cosine) = self.azimuth_rad[arm].sin_cos();
+            [radius * cosine, radius * sine, -self.upper_mm[arm] * angle.sin()]
+        };
+        let centres = [0, 1, 2].map(centre);
+        let mut place = [0.0, 0.0, -850.0];
+        for _ in 0..30 {
+            let mut rows = [[0.0; 4]; 3];
+            for (arm, row) in rows.iter_mut().enumerate() {
+                let apart = [0, 1, 2].map(|axis| place[axis] - centres[arm][axis]);
+                let square: f64 = apart.iter().map(|mm| mm * mm).sum();
+                *row = [
+                    2.0 * apart[0],
+                    2.0 * apart[1],
+                    2.0 * apart[2],
+                    self.forearm_mm[arm].powi(2) - square,
+                ];
+            }
+            let minor = |a: [f64; 3], b: [f64; 3]| {
+                [
+                    a[1] * b[2] - a[2] * b[1],
+                    a[2] * b[0] - a[0] * b[2],
+                    a[0] * b[1] - a[1] * b[0],
+                ]
+            };
+            let [a, b, c] = rows.map(|row| [row[0], row[1], row[2]]);
+            let (bc, ca, ab) = (minor(b, c), minor(c, a), minor(a, b));
+            let determinant: f64 = (0..3).map(|axis| a[axis] * bc[axis]).sum();
+            for (axis, value) in place.iter_mut().enumerate() {
+                *value += (rows[0][3] * bc[axis] + rows[1][3] * ca[axis] + rows[2][3] * ab[axis]) / determinant;
+            }
+        }
+        place
+    }
+}
+
+/// Gaussian noise, from twelve even numbers.
+fn noise(random: &mut Random) -> f64 {
+    (0..12).map(|_| random.unit()).sum::<f64>() - 6.0
+}
+
+/// The marks that a machine draws, measured with an error in a frame of their own.
+fn drawn(config: &Config, place: impl Fn(JointPose) -> [f64; 3], error_mm: f64, random: &mut Random) -> Vec<Mark> {
+    let machine = Machine::new(config).expect("a machine");
+    let frame = Rigid::new(2.0 * random.unit() - 1.0, [100.0 * random.unit(), -40.0]);
+    marks::places(&config.paper, 5)
+        .into_iter()
+        .map(|wanted_mm| {
+            let [x, y, _] = place(machine.pose_on_sheet(wanted_mm).expect("on the sheet"));
+            let measured = frame.of([x, y]);
+            Mark {
+                wanted_mm,
+                measured_mm: measured.map(|mm| mm + error_mm * noise(random)),
+            }
+        })
+        .collect()
+}
+
+/// Error of shape all over the sheet, mm rms: places of the pen against where a configuration puts it, the sheet placed best.
+fn shape_mm(config: &Config, place: impl Fn(JointPose) -> [f64; 3]) -> f64 {
+    let machine = Machine::new(config).expect("a machine");
+    let places = marks::places(&config.paper, 15);
+    let there: Vec<[f64; 2]> = places
+        .iter()
+        .map(|wanted| {
+            let [x, y, _] = place(machine.pose_on_sheet(*wanted).expect("on the sheet"));
+            [x, y]
+        })
+        .collect();
+    Rigid::between(&there, &places).2
+}
+
+#[test]
+fn a_delta_whose_arms_differ_is_found_from_25_marks_measured_by_hand() {
+    let config = Config::default();
+    let (mut befores, mut afters) = (0.0, 0.0_f64);
+    for seed in 1..=20 {
+        let mut random = Random::new(seed);
+        let arms = Arms::new(&config, &mut random);
+        let place = |believed| arms.place(believed);
+        let marks = drawn(&config, place, 0.03, &mut random);
+        let found = calibrate(&config, &marks, &[], 0.03).expect("a machine");
+        // The marks of the found configuration are where its axes are homed: its poses differ by what was found.
+        let syncs = [0, 1, 2].map(|axis| found.config.axes[axis].sync_angle_rad - config.axes[axis].sync_angle_rad);
+        let placed = |mut believed: JointPose| {
+            for (joint, sync) in believed.iter_mut().zip(syncs) {
+                *joint -= sync;
+            }
+            arms.place(believed)
+        };
+        let (before, after) = (shape_mm(&config, place), shape_mm(&found.config, placed));
+        println!("seed {seed}: {before:.3} to {after:.3} mm, {:?}", found.predicted);
+        assert!(after < 0.034, "seed {seed}: {after}");
+        assert!((found.predicted.rms_mm - 0.045).abs() < 0.025, "{:?}", found.predicted);
+        befores += before;
+        afters = afters.max(after);
+        // The pen still meets the sheet, which has not moved.
+        let machine = Machine::new(&found.config).expect("a machine");
+        let old = Machine::new(&config).expect("a machine");
+        for [x, y] in [[0.0, 0.0], [80.0, 80.0], [-80.0, 60.0]] {
+            let was = place(old.pose_on_sheet([x, y]).expect("on the sheet"))[2];
+            let is = placed(machine.pose_on_sheet([x, y]).expect("on the sheet"))[2];
+            assert!((was - is).abs() < 0.05, "seed {seed}: {was} {is}");
+        }
+    }
+    assert!(befores / 20.0 > 0.06 && afters < 0.034, "{befores} {afters}");
+}
+
+#[test]
+fn each_kind_of_machine_finds_what_it_was_made_with() {
+    for machine in &crate::settings::machines::MACHINES {
+        let config = machine.load().expect("a bundled machine");
+        let mut random = Random::new(7);
+        let parameters = of(config.geometry.kind());
+        let changes: Vec<f64> = parameters.iter().map(|one| one.usual * (random.unit() - 0.5)).collect();
+        let truth = Machine::new(&config).expect("a machine");
+        let place = |believed| truth.place(&changes, believed).expect("in reach");
+        let marks = drawn(&config, place, 0.01, &mut random);
+        let found = calibrate(&config, &marks, &[], 0.01).unwrap_or_else(|cause| panic!("{}: {cause}", machine.name));
+        println!(
+            "{}: {:?} to {:?}, {:?}",
+            machine.name, found.before, found.after, found.predicted
+        );
+        assert!(
+            found.after.rms_mm < 0.02 && found.predicted.rms_mm < 0.03,
+            "{}",
+            machine.name
+        );
+        assert!(found.before.rms_mm > 2.0 * found.after.rms_mm, "{}", machine.name);
+        let [before, after] = expected_mm(&config, &marks::places(&config.paper, 5), &[], 0.01).expect("a sheet");
+        assert!(
+            after < 0.2 * before && after < 0.02,
+            "{}: {before} {after}",
+            machine.name
+        );
+    }
+}
+
+#[test]
+fn touches_alone_tell_little_and_marks_nearly_all() {
+    let config = Config::default();
+    let z_mm = config.paper.pen_down_z_mm;
+    let touches: Vec<Touch> = marks::places(&config.paper, 5)
+        .into_iter()
+        .map(|[x, y]| [x, y, z_mm])
+        .collect();
+    let places = marks::places(&config.paper, 5);
+    let [before, by_touches] = expected_mm(&config, &[], &touches, 0.03).expect("a sheet");
+    let [_, by_marks] = expected_mm(&config, &places, &[], 0.03).expect("a sheet");
+    println!("{before:.3} mm, with touches {by_touches:.3}, with marks {by_marks:.3}");
+    assert!(by_touches > 0.5 * before && by_marks < 0.25 * before);
+}
+
+#[test]
+fn a_wrong_table_is_refused_with_what_is_wrong() {
+    let config = Config::default();
+    let mut random = Random::new(3);
+    let arms = Arms::new(&config, &mut random);
+    let marks = drawn(&config, |believed| arms.place(believed), 0.03, &mut random);
+    let refused = |change: &dyn Fn(&mut Vec<Mark>), part: &str| {
+        let mut marks = marks.clone();
+        change(&mut marks);
+        let cause = calibrate(&config, &marks, &[], 0.03).expect_err(part);
+        assert!(cause.contains(part), "{cause}");
+    };
+    refused(&|marks| marks.truncate(5), "at least 6");
+    refused(&|marks| marks.truncate(0), "at least 6");
+    refused(&|marks| marks.retain(|mark| mark.wanted_mm[0] > 30.0), "apart in x");
+    refused(
+        &|marks| marks.iter_mut().for_each(|mark| mark.measured_mm[1] *= -1.0),
+        "mirrored",
+    );
+    refused(
+        &|marks| marks.iter_mut().for_each(|mark| mark.measured_mm.reverse()),
+        "mirrored",
+    );
+    refused(
+        &|marks| {
+            marks
+                .iter_mut()
+                .for_each(|mark| mark.measured_mm = mark.measured_mm.map(|mm| 0.1 * mm))
+        },
+        "millimetres",
+    );
+    refused(&|marks| marks[7].measured_mm[0] += 1.0, "measure it again");
+    refused(
+        &|marks| {
+            let (one, other) = (marks[3].measured_mm, marks[11].measured_mm);
+            (marks[3].measured_mm, marks[11].measured_mm) = (other, one);
+        },
+        "",
+    );
+    refused(&|marks| marks[2].measured_mm = [f64::MAX, 0.0], "");
+}

@@ -1,0 +1,299 @@
+//! `etherpen calibrate`: the dimensions of a machine from marks that it drew.
+
+use super::{ConfigArguments, print_json};
+use crate::axes::{self, Motion, Quantity};
+use crate::calibration::marks::{self, Mark};
+use crate::calibration::parameters::{Parameter, What, value};
+use crate::calibration::{Distance, Found, calibrate, expected_mm};
+use crate::error::{ProgramError, code};
+use crate::settings::dimensions::store_dimensions;
+use crate::terminal::counted;
+use crate::touches::Touch;
+use etherpen::config::Config;
+use serde::Serialize;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Largest table, bytes.
+const TABLE_BYTES_MAX: u64 = 1 << 20;
+
+/// Options of `etherpen calibrate`.
+///
+/// 1. etherpen calibrate --pattern marks.svg: writes a drawing of crosses, and marks.csv beside it with their places.
+/// 2. etherpen draw marks.svg: on a sheet that does not move, without --fit and --size.
+/// 3. Measure where the crosses are, from any corner, x to the right and y up, and write it into marks.csv; a cross
+///    that is not measured stays empty.
+/// 4. etherpen calibrate marks.csv --store, and home again before the next drawing.
+#[derive(clap::Args, Debug)]
+pub struct Arguments {
+    /// Table of the marks: x_mm,y_mm from the middle of the sheet, and measured_x_mm,measured_y_mm.
+    #[arg(value_name = "MARKS")]
+    marks: Option<PathBuf>,
+    /// Write the drawing, and its table beside it.
+    #[arg(long, value_name = "FILE", conflicts_with = "marks")]
+    pattern: Option<PathBuf>,
+    /// Marks in a row and in a column of the drawing.
+    #[arg(long, value_name = "NUMBER", default_value_t = 5, value_parser = clap::value_parser!(u8).range(3..=21))]
+    side: u8,
+    /// A place where the pen touched the sheet, as `etherpen paper --touch` takes it. Touches tell little about dimensions; without
+    /// marks the command says how little. A negative x needs =: --touch=-80,70,-849.6.
+    #[arg(long, value_name = "X,Y,Z", value_parser = touch, conflicts_with = "pattern")]
+    touch: Vec<Touch>,
+    /// Standard error of measuring a mark, in x and in y, mm.
+    #[arg(long, value_name = "MM", default_value_t = 0.05, value_parser = error)]
+    error: f64,
+    /// Store what was found in the configuration file in use; the rest of the file is unchanged.
+    #[arg(long, requires = "marks")]
+    store: bool,
+    /// Print the result as JSON on stdout.
+    #[arg(long, conflicts_with = "pattern")]
+    json: bool,
+    #[command(flatten)]
+    config: ConfigArguments,
+}
+
+fn touch(text: &str) -> Result<Touch, String> {
+    let numbers: Option<Vec<f64>> = text
+        .split(',')
+        .map(|number| number.trim().parse().ok().filter(|number: &f64| number.is_finite()))
+        .collect();
+    let touch = numbers.and_then(|numbers| numbers.try_into().ok());
+    touch.ok_or_else(|| "three finite numbers with commas between them are needed".into())
+}
+
+fn error(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(mm) if (0.001..=5.0).contains(&mm) => Ok(mm),
+        _ => Err("a number of millimetres from 0.001 to 5 is needed".into()),
+    }
+}
+
+/// A value of the configuration that is found.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct Value {
+    /// Where it stands in the file.
+    name: String,
+    unit: &'static str,
+    before: f64,
+    after: f64,
+    /// Standard error of what was found.
+    error: f64,
+}
+
+/// What the command prints.
+#[derive(Clone, Debug, Serialize)]
+struct Answer {
+    marks: usize,
+    /// Distance of the marks from their places, the sheet placed best.
+    shape_before: Distance,
+    /// The same with what was found.
+    shape_after: Distance,
+    /// Distance of each mark from where all others predict it.
+    predicted: Distance,
+    /// Error of shape over the sheet that is usual before and expected with these marks, rms.
+    expected_before_mm: f64,
+    expected_after_mm: f64,
+    values: Vec<Value>,
+    stored: Option<String>,
+}
+
+/// What it prints without marks.
+#[derive(Clone, Debug, Serialize)]
+struct OfTouches {
+    touches: usize,
+    expected_before_mm: f64,
+    expected_after_mm: f64,
+    /// The same with 25 marks and these touches.
+    expected_with_marks_mm: f64,
+}
+
+/// Runs the command.
+///
+/// # Errors
+/// The table cannot be read or does not fit to the machine; errors of the configuration and of files.
+pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
+    let config = arguments.config.load()?;
+    let refused = |cause: String| ProgramError::new(code::USAGE, cause);
+    if let Some(file) = &arguments.pattern {
+        return write_pattern(&config, file, arguments.side.into());
+    }
+    let Some(file) = &arguments.marks else {
+        if arguments.touch.is_empty() {
+            return Err(refused(
+                "name the table of the marks; etherpen calibrate --pattern marks.svg writes one, and their drawing"
+                    .into(),
+            ));
+        }
+        return of_touches(arguments, &config);
+    };
+    let store = arguments.store.then(|| arguments.config.file_to_store(&config));
+    let store = store.transpose()?;
+    let marks = read(file)?;
+    let places: Vec<[f64; 2]> = marks.iter().map(|mark| mark.wanted_mm).collect();
+    let unusable = |cause: String| ProgramError::new(code::INPUT, format!("{}: {cause}", file.display()));
+    let found = calibrate(&config, &marks, &arguments.touch, arguments.error).map_err(unusable)?;
+    let [expected_before_mm, expected_after_mm] =
+        expected_mm(&config, &places, &arguments.touch, arguments.error).map_err(unusable)?;
+    let mut answer = Answer {
+        marks: marks.len(),
+        shape_before: found.before,
+        shape_after: found.after,
+        predicted: found.predicted,
+        expected_before_mm,
+        expected_after_mm,
+        values: values(&config, &found),
+        stored: None,
+    };
+    if let Some(path) = store {
+        let changed = store_dimensions(&path, &config, &found.config)?;
+        eprintln!("{} changed in {}.", counted(changed, "value"), path.display());
+        answer.stored = Some(path.display().to_string());
+    }
+    match arguments.json {
+        true => print_json(&answer),
+        false => print(&answer.text()),
+    }
+}
+
+fn print(text: &str) -> Result<(), ProgramError> {
+    std::io::stdout()
+        .write_all(text.as_bytes())
+        .or_else(ProgramError::of_stdout)
+}
+
+fn read(file: &Path) -> Result<Vec<Mark>, ProgramError> {
+    let input = |cause: String| ProgramError::new(code::INPUT, format!("{}: {cause}", file.display()));
+    let length = std::fs::metadata(file).map_err(|cause| input(cause.to_string()))?.len();
+    if length > TABLE_BYTES_MAX {
+        return Err(input("it is too long for a table of marks".into()));
+    }
+    let text = std::fs::read_to_string(file).map_err(|cause| input(cause.to_string()))?;
+    marks::read(&text).map_err(input)
+}
+
+fn write_pattern(config: &Config, file: &Path, side: usize) -> Result<(), ProgramError> {
+    let table = file.with_extension("csv");
+    if table == file {
+        let text = format!(
+            "{}: the drawing is an SVG, and its table the CSV beside it",
+            file.display()
+        );
+        return Err(ProgramError::new(code::USAGE, text));
+    }
+    // It may have measured values.
+    if table.exists() {
+        let text = format!(
+            "{} exists; name another drawing, or move the table away",
+            table.display()
+        );
+        return Err(ProgramError::new(code::USAGE, text));
+    }
+    let places = marks::places(&config.paper, side);
+    for (path, text) in [
+        (file, marks::svg(&config.paper, &places)),
+        (&table, marks::table(&places)),
+    ] {
+        crate::output_file::write(path, text.as_bytes())
+            .map_err(|cause| ProgramError::failed(format!("{} cannot be written", path.display()), cause))?;
+    }
+    eprintln!(
+        "Written: {} and {}. Draw it, measure the crosses, fill in the table, then: etherpen calibrate {}",
+        file.display(),
+        table.display(),
+        table.display()
+    );
+    Ok(())
+}
+
+fn of_touches(arguments: &Arguments, config: &Config) -> Result<(), ProgramError> {
+    let refused = |cause: String| ProgramError::new(code::USAGE, cause);
+    let touches = &arguments.touch;
+    let [expected_before_mm, expected_after_mm] =
+        expected_mm(config, &[], touches, arguments.error).map_err(refused)?;
+    let places = marks::places(&config.paper, arguments.side.into());
+    let [_, expected_with_marks_mm] = expected_mm(config, &places, touches, arguments.error).map_err(refused)?;
+    let answer = OfTouches {
+        touches: touches.len(),
+        expected_before_mm,
+        expected_after_mm,
+        expected_with_marks_mm,
+    };
+    if arguments.json {
+        return print_json(&answer);
+    }
+    print(&format!(
+        "{} would take the usual error of shape from {expected_before_mm:.3} to {expected_after_mm:.3} mm rms; {} marks take it \
+         to {expected_with_marks_mm:.3}.\nNothing was found: touches are for height and tilt (etherpen paper --touch). Draw marks: \
+         etherpen calibrate --pattern marks.svg\n",
+        counted(touches.len(), "touch"),
+        places.len(),
+    ))
+}
+
+/// What was found, each value in its own unit.
+fn values(config: &Config, found: &Found) -> Vec<Value> {
+    let of = |(Parameter { what, .. }, [change, error]): (&Parameter, &[f64; 2])| {
+        let (before, after) = (value(config, *what), value(&found.config, *what));
+        let (name, unit, factor) = match *what {
+            What::Dimension(key, Some(index)) => (format!("geometry.{key}[{index}]"), "degrees", 1.0),
+            What::Dimension(key, None) => (format!("geometry.{key}"), "mm", 1.0),
+            What::Sync(axis) => {
+                let motion = axes::motion(config.geometry.kind(), axis);
+                let key = if motion == Motion::Linear {
+                    "sync_mm"
+                } else {
+                    "sync_angle_rad"
+                };
+                (
+                    format!("axes[{axis}].{key}"),
+                    motion.unit(Quantity::Position),
+                    motion.factor(),
+                )
+            }
+            What::Pitch(axis) => (format!("axes[{axis}].pitch_mm"), "of what it was", 1.0),
+        };
+        let after = if matches!(what, What::Pitch(_)) {
+            1.0 + change
+        } else {
+            after
+        };
+        Value {
+            name,
+            unit,
+            before: factor * before,
+            after: factor * after,
+            error: factor * error,
+        }
+    };
+    found.parameters.iter().zip(&found.changes).map(of).collect()
+}
+
+impl Answer {
+    fn text(&self) -> String {
+        let distance = |distance: &Distance| format!("{:.3} mm rms, {:.3} at most", distance.rms_mm, distance.max_mm);
+        let mut text = format!(
+            "{} marks, the sheet placed best:\n  as the machine is           {}\n  with what was found         {}\n  each \
+             predicted by all others {}\n",
+            self.marks,
+            distance(&self.shape_before),
+            distance(&self.shape_after),
+            distance(&self.predicted)
+        );
+        for Value {
+            name,
+            unit,
+            before,
+            after,
+            error,
+        } in &self.values
+        {
+            text.push_str(&format!(
+                "{name:32} {before:>12.5} -> {after:>12.5} {unit} (standard error {error:.5})\n"
+            ));
+        }
+        if self.stored.is_none() {
+            text.push_str("Not stored; --store does that.\n");
+        }
+        text
+    }
+}
