@@ -146,7 +146,24 @@ impl Host for SimulatedHost<'_> {
 /// # Errors
 /// The capture cannot be written.
 pub fn simulate(task: &RunTask, sink: Option<Sink>, look: &mut dyn FnMut(&mut Job)) -> Result<Drawn, RunError> {
-    let mut cell = task.cell(sink).map_err(RunError::Capture)?;
+    simulated(task, task.cell(sink), look)
+}
+
+/// [`simulate`] on a machine that is as another configuration says, whatever the controller is told.
+///
+/// # Errors
+/// As [`simulate`].
+pub fn simulate_on(machine: &Config, task: &RunTask, look: &mut dyn FnMut(&mut Job)) -> Result<Drawn, RunError> {
+    let cell = CapturedCell::new(Cell::new(machine, task.cell.clone()), None);
+    simulated(task, cell, look)
+}
+
+fn simulated(
+    task: &RunTask,
+    cell: io::Result<CapturedCell>,
+    look: &mut dyn FnMut(&mut Job),
+) -> Result<Drawn, RunError> {
+    let mut cell = cell.map_err(RunError::Capture)?;
     let mut host = SimulatedHost { job: task.job(), look };
     let begun_s = processor_s();
     let passed_ms = simulation::run(&mut cell, &mut host, LIMIT_MS);

@@ -14,10 +14,10 @@ const AZIMUTH_DEG: f64 = 0.15;
 const SYNC_RAD: f64 = 3.0e-3;
 const SYNC_MM: f64 = 1.0;
 const PITCH_PART: f64 = 3.0e-3;
-/// What values are rounded to: mm, degrees and rad.
-const LENGTH_STEP: f64 = 1.0e-3;
-const AZIMUTH_STEP: f64 = 1.0e-4;
-const SYNC_RAD_STEP: f64 = 1.0e-6;
+/// What values are rounded to: parts of a millimetre, of a degree and of a radian.
+const LENGTH_PARTS: f64 = 1.0e3;
+const AZIMUTH_PARTS: f64 = 1.0e4;
+const SYNC_RAD_PARTS: f64 = 1.0e6;
 
 /// What a parameter changes.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -113,22 +113,22 @@ pub fn value(config: &Config, what: What) -> f64 {
 /// The configuration with a change of each parameter; `rounded` to what a file shows.
 #[must_use]
 pub fn changed(config: &Config, parameters: &[Parameter], changes: &[f64], rounded: bool) -> Config {
-    let round = |value: f64, step: f64| match rounded {
-        true => (value / step).round() * step,
+    let round = |value: f64, parts: f64| match rounded {
+        true => (value * parts).round() / parts,
         false => value,
     };
     let mut found = config.clone();
     for (Parameter { what, .. }, change) in parameters.iter().zip(changes) {
         match *what {
             What::Dimension(key, index) => {
-                let step = if index.is_some() { AZIMUTH_STEP } else { LENGTH_STEP };
+                let parts = if index.is_some() { AZIMUTH_PARTS } else { LENGTH_PARTS };
                 if let Some(value) = dimension(&mut found.geometry, key, index) {
-                    *value = round(*value + change, step);
+                    *value = round(*value + change, parts);
                 }
             }
             What::Sync(axis) => {
                 if let Some(axis) = found.axes.get_mut(axis) {
-                    axis.sync_angle_rad = round(axis.sync_angle_rad + change, SYNC_RAD_STEP);
+                    axis.sync_angle_rad = round(axis.sync_angle_rad + change, SYNC_RAD_PARTS);
                 }
             }
             What::Pitch(axis) => {

@@ -225,7 +225,10 @@ fn of_touches(arguments: &Arguments, config: &Config) -> Result<(), ProgramError
         "{} would take the usual error of shape from {expected_before_mm:.3} to {expected_after_mm:.3} mm rms; {} marks take it \
          to {expected_with_marks_mm:.3}.\nNothing was found: touches are for height and tilt (etherpen paper --touch). Draw marks: \
          etherpen calibrate --pattern marks.svg\n",
-        counted(touches.len(), "touch"),
+        match touches.len() {
+            1 => "One touch".to_owned(),
+            count => format!("{count} touches"),
+        },
         places.len(),
     ))
 }

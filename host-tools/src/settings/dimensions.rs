@@ -8,8 +8,8 @@ use std::path::Path;
 use toml_edit::{Item, TableLike, Value};
 
 const PITCH: &str = "pitch_mm";
-/// Steps of the travel of a turn, mm.
-const PITCH_STEP_MM: f64 = 1.0e-4;
+/// Parts of a millimetre to which the travel of a turn is rounded.
+const PITCH_PARTS: f64 = 1.0e4;
 
 /// A configuration without dimensions and what else can be stored, to compare the others.
 fn without_dimensions(config: &Config) -> Config {
@@ -63,7 +63,7 @@ impl Settings {
                 field: PITCH,
             };
             let pitch_mm = self.pitch_mm(number).ok_or(place)? * before.gear / axis.gear;
-            self.set_axis(number, PITCH, (pitch_mm / PITCH_STEP_MM).round() * PITCH_STEP_MM)?;
+            self.set_axis(number, PITCH, (pitch_mm * PITCH_PARTS).round() / PITCH_PARTS)?;
             changed += 1;
         }
         Ok(changed)
@@ -181,7 +181,7 @@ mod tests {
         assert_eq!(settings.store_travels(&wanted).expect("stored"), 1);
         let after_mm = settings.pitch_mm(1).expect("a travel");
         assert!(
-            (after_mm - 1.002 * before_mm).abs() < PITCH_STEP_MM,
+            (after_mm - 1.002 * before_mm).abs() * PITCH_PARTS < 1.0,
             "{before_mm} {after_mm}"
         );
         let gear = settings.config().expect("a machine").axes[1].gear;

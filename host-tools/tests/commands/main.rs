@@ -11,6 +11,7 @@ mod board;
 mod calibration;
 mod configuration;
 mod dead_man;
+mod dimensions;
 mod drawing;
 #[cfg(target_os = "linux")]
 mod emulator;
