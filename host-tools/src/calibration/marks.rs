@@ -94,7 +94,8 @@ pub fn read(text: &str) -> Result<Vec<Mark>, String> {
         match measured {
             [] | ["" | "-"] | ["" | "-", "" | "-"] => {
                 // It has to be a mark even so.
-                (number_of(x)?, number_of(y)?);
+                number_of(x)?;
+                number_of(y)?;
             }
             [measured_x, measured_y] => marks.push(Mark {
                 wanted_mm: [number_of(x)?, number_of(y)?],
