@@ -205,6 +205,22 @@ fn an_entry_that_is_damaged_is_named_and_an_older_drawing_is_not_continued_in_it
 }
 
 #[test]
+fn drawings_that_begin_in_one_millisecond_have_entries_of_their_own() {
+    let log = Log::new("at-once");
+    let begin = |number| {
+        let entry = HistoryEntry {
+            number,
+            ..HistoryEntry::default()
+        };
+        Record::begin(&log.folder, entry).expect("a log").name()
+    };
+    let names: Vec<String> = (0..50).map(begin).collect();
+    let different: std::collections::HashSet<&String> = names.iter().collect();
+    assert_eq!(different.len(), names.len());
+    assert!(names.is_sorted());
+}
+
+#[test]
 fn a_newer_entry_without_ink_hides_no_damaged_one() {
     let log = Log::new("inkless");
     fs::write(&log.newest, &log.whole[..log.whole.len() / 2]).expect("the entry");

@@ -107,16 +107,14 @@ impl Record {
         fs::create_dir_all(folder)?;
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         entry.begun_unix_s = since.as_secs();
-        let name = format!(
-            "{:013}-{}-{}.json",
-            since.as_millis(),
-            entry.path_hash,
-            std::process::id()
-        );
-        let mut record = Self {
-            path: folder.join(name),
-            entry,
-        };
+        let named = |ms: u128| folder.join(format!("{ms:013}-{}-{}.json", entry.path_hash, std::process::id()));
+        let mut ms = since.as_millis();
+        // Of two in one millisecond the second counts as of the next one.
+        while named(ms).exists() {
+            ms += 1;
+        }
+        let path = named(ms);
+        let mut record = Self { path, entry };
         record.save()?;
         Ok(record)
     }

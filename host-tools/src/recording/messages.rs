@@ -9,7 +9,7 @@
 use super::bytes::Numbers;
 use super::cdr::{Decoder, Encoder};
 use super::mcap::Topic;
-use super::moment::SampleAxes;
+use super::moment::{SampleAxes, modes};
 use etherpen::application::Mode;
 use etherpen::messages::Counters;
 use std::borrow::Cow;
@@ -102,16 +102,6 @@ pub fn topics(axes: &SampleAxes) -> [Topic; 4] {
         schema,
     })
 }
-
-/// The operating modes as constants of a schema.
-macro_rules! modes {
-    () => {
-        "uint8 STARTUP=0\nuint8 BUS_CONFIGURING=1\nuint8 DRIVES_OFF=2\nuint8 UNREFERENCED=3\nuint8 IDLE=4\n\
-         uint8 MOVING=5\nuint8 DRAWING=6\nuint8 HOLDING=7\nuint8 STOPPING=8\nuint8 FAULT=9\nuint8 HOMING=10\n"
-    };
-}
-
-pub(super) use modes;
 
 const GAP_SCHEMA: &str = "# Samples that are missing, stored before the first one after the gap.\n\
     uint32 before_ms\nuint32 t_ms\nuint32 missing\n";

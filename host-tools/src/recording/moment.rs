@@ -8,7 +8,6 @@
 
 use super::bytes::Numbers;
 use super::cdr::{Decoder, Encoder};
-use super::messages::modes;
 use crate::axes::{AxisView, Motion, axes as axes_of};
 use etherpen::application::Mode;
 use etherpen::config::{Config, SAMPLE_WORDS_MAX};
@@ -97,6 +96,15 @@ fn view(index: usize, motion: Motion) -> AxisView {
         motion,
     }
 }
+
+/// The operating modes as constants of a schema.
+macro_rules! modes {
+    () => {
+        "uint8 STARTUP=0\nuint8 BUS_CONFIGURING=1\nuint8 DRIVES_OFF=2\nuint8 UNREFERENCED=3\nuint8 IDLE=4\n\
+         uint8 MOVING=5\nuint8 DRAWING=6\nuint8 HOLDING=7\nuint8 STOPPING=8\nuint8 FAULT=9\nuint8 HOMING=10\n"
+    };
+}
+pub(super) use modes;
 
 const BEFORE_AXES: &str = concat!(
     "# One millisecond as the controller saw it: device time, mode, stroke, pen, measured position of the\n\
