@@ -288,7 +288,8 @@ impl Settings {
                     _ if field == "sync_increments" => {
                         self.set_axis(number, field, i64::from(axis.sync_increments))?;
                     }
-                    Some((field, factor)) => self.set_axis(number, field, value * factor)?,
+                    // In steps that are far below what acts.
+                    Some((field, factor)) => self.set_axis(number, field, (value * factor * 1e9).round() / 1e9)?,
                     None => self.set_axis(number, field, value)?,
                 }
                 changed += 1;

@@ -31,7 +31,14 @@ pub const MARKS_MIN: usize = 6;
 /// Least extent of the marks in x and in y, sides of the sheet.
 const EXTENT_MIN: f64 = 1.0 / 3.0;
 /// Largest difference in scale between what was measured and what was drawn.
-const SCALE_MAX: f64 = 0.03;
+const SCALE_MAX: f64 = 0.01;
+/// Least width of the marks, sides of the sheet: they may not lie on a line.
+const WIDTH_MIN: f64 = 0.1;
+/// Largest change, usual errors.
+const CHANGE_MAX: f64 = 5.0;
+/// A single mark without which a turn and a displacement leave this part, and that is so many mm off, was typed wrong.
+const TYPED_PART: f64 = 0.2;
+const TYPED_MM: f64 = 5.0;
 /// A mark that all others predict this many times worse than usual was measured wrong; in any case by so many mm.
 const WRONG_FACTOR: f64 = 6.0;
 const WRONG_MM: f64 = 0.3;
@@ -86,6 +93,16 @@ pub struct Found {
     pub after: Distance,
     /// Distance of each mark from where all others predict it.
     pub predicted: Distance,
+    /// What is left of the marks, in parts of what the error of measuring them explains. The standard errors have it in them.
+    pub left_over: f64,
+}
+
+impl Found {
+    /// Whether the marks are predicted better with what was found than without.
+    #[must_use]
+    pub fn is_better(&self) -> bool {
+        self.predicted.rms_mm < self.before.rms_mm
+    }
 }
 
 /// A machine whose dimensions are to be found.
@@ -119,23 +136,38 @@ impl<'c> Machine<'c> {
         self.pose(paper.centre_mm[0] + x_mm, paper.centre_mm[1] + y_mm, z_mm)
     }
 
-    /// Where the pen truly is when the controller believes the axes at a pose.
-    fn place(&self, changes: &[f64], believed: JointPose) -> Option<[f64; 3]> {
+    /// The machine with changes; `None` if there is none of such dimensions.
+    fn with(&self, changes: &[f64]) -> Option<Changed<'_>> {
         let there = changed(self.config, &self.parameters, changes, false);
-        let mut joints = [0.0; AXES];
-        let pose = true_pose(self.config, &self.parameters, changes, believed);
-        for (joint, position) in joints.iter_mut().zip(pose) {
-            *joint = position;
-        }
-        let place = Kinematics::new(&there.geometry)
-            .ok()?
-            .forward(&JointAngles(joints))
-            .ok()?;
-        Some([place.x_mm, place.y_mm, place.z_mm])
+        Some(Changed {
+            machine: self,
+            changes: changes.to_vec(),
+            kinematics: Kinematics::new(&there.geometry).ok()?,
+        })
     }
 
     fn usual(&self) -> impl Iterator<Item = f64> {
         self.parameters.iter().map(|parameter| parameter.usual)
+    }
+}
+
+/// A machine that differs from its configuration.
+struct Changed<'m> {
+    machine: &'m Machine<'m>,
+    changes: Vec<f64>,
+    kinematics: Kinematics,
+}
+
+impl Changed<'_> {
+    /// Where the pen truly is when the controller believes the axes at a pose.
+    fn place(&self, believed: JointPose) -> Option<[f64; 3]> {
+        let mut joints = [0.0; AXES];
+        let pose = true_pose(self.machine.config, &self.machine.parameters, &self.changes, believed);
+        for (joint, position) in joints.iter_mut().zip(pose) {
+            *joint = position;
+        }
+        let place = self.kinematics.forward(&JointAngles(joints)).ok()?;
+        Some([place.x_mm, place.y_mm, place.z_mm])
     }
 }
 
@@ -152,9 +184,10 @@ impl Measured {
         let (changes, rest) = unknowns.split_at_checked(machine.parameters.len())?;
         let [turn, x, y, height, along_x, along_y] = *rest.first_chunk()?;
         let frame = Rigid::new(turn, [x, y]);
+        let machine = machine.with(changes)?;
         let mut left = Vec::with_capacity(2 * self.marks.len() + self.touches.len());
         for (pose, measured_mm) in &self.marks {
-            let [x, y, _] = machine.place(changes, *pose)?;
+            let [x, y, _] = machine.place(*pose)?;
             let [measured_x, measured_y] = frame.of(*measured_mm);
             left.extend([measured_x - x, measured_y - y].map(|mm| mm / self.mark_error_mm));
         }
@@ -163,7 +196,7 @@ impl Measured {
             slope: [along_x, along_y],
         };
         for pose in &self.touches {
-            let [x, y, z] = machine.place(changes, *pose)?;
+            let [x, y, z] = machine.place(*pose)?;
             left.push((plane.z_at_mm(x, y) - z) / TOUCH_ERROR_MM);
         }
         Some(left)
@@ -244,6 +277,7 @@ impl Measured {
 pub fn calibrate(config: &Config, marks: &[Mark], touches: &[Touch], error_mm: f64) -> Result<Found, String> {
     let machine = Machine::new(config)?;
     let placed = checked(config, marks)?;
+    check_touches(touches)?;
     let measured = Measured {
         marks: marks
             .iter()
@@ -260,12 +294,20 @@ pub fn calibrate(config: &Config, marks: &[Mark], touches: &[Touch], error_mm: f
     let after = measured.distances(&machine, &unknowns).ok_or_else(unexplained)?;
     let predicted = left_out(&machine, &measured, placed).ok_or_else(unexplained)?;
     check_each(marks, &predicted)?;
+    let left_over = left_over(&machine, &measured, &unknowns).ok_or_else(unexplained)?;
     let changes: Vec<[f64; 2]> = unknowns
         .iter()
         .zip(covariance.iter().enumerate())
-        .map(|(change, (index, row))| [*change, row.get(index).map_or(0.0, |variance| variance.sqrt())])
+        .map(|(change, (index, row))| {
+            [
+                *change,
+                row.get(index)
+                    .map_or(0.0, |variance| variance.sqrt() * left_over.max(1.0)),
+            ]
+        })
         .take(machine.parameters.len())
         .collect();
+    check_changes(&machine, &changes)?;
     let before = marks.iter().map(|mark| {
         let [x, y] = placed.of(mark.measured_mm);
         (x - config.paper.centre_mm[0] - mark.wanted_mm[0]).hypot(y - config.paper.centre_mm[1] - mark.wanted_mm[1])
@@ -275,6 +317,7 @@ pub fn calibrate(config: &Config, marks: &[Mark], touches: &[Touch], error_mm: f
         before: Distance::of(before),
         after: Distance::of(after.into_iter()),
         predicted: Distance::of(predicted.into_iter()),
+        left_over,
         parameters: machine.parameters,
         changes,
     })
@@ -338,9 +381,8 @@ fn shape_mm(machine: &Machine<'_>, covariance: &[Vec<f64>]) -> Option<f64> {
         let at = |by: f64| {
             let mut changes = vec![0.0; machine.parameters.len()];
             *changes.get_mut(index)? = by * usual;
-            let places = poses
-                .iter()
-                .map(|pose| machine.place(&changes, *pose).map(|[x, y, _]| [x, y]));
+            let there = machine.with(&changes)?;
+            let places = poses.iter().map(|pose| there.place(*pose).map(|[x, y, _]| [x, y]));
             places.collect::<Option<Vec<_>>>()
         };
         let (above, below) = (at(DIFFERENCE)?, at(-DIFFERENCE)?);
@@ -384,6 +426,7 @@ fn checked(config: &Config, marks: &[Mark]) -> Result<Rigid, String> {
             ));
         }
     }
+    check_width(config, marks)?;
     let wanted = |mirrored: bool| {
         let [x, y] = config.paper.centre_mm;
         let side = if mirrored { -1.0 } else { 1.0 };
@@ -394,6 +437,7 @@ fn checked(config: &Config, marks: &[Mark]) -> Result<Rigid, String> {
     };
     let measured: Vec<[f64; 2]> = marks.iter().map(|mark| mark.measured_mm).collect();
     let (frame, scale, left_mm) = Rigid::between(&measured, &wanted(false));
+    check_typed(marks, &measured, &wanted(false), left_mm)?;
     let (_, _, mirrored_mm) = Rigid::between(&measured, &wanted(true));
     if mirrored_mm < 0.5 * left_mm {
         return Err(
@@ -409,6 +453,93 @@ fn checked(config: &Config, marks: &[Mark]) -> Result<Rigid, String> {
         ));
     }
     Ok(frame)
+}
+
+/// Refuses marks on a line.
+fn check_width(config: &Config, marks: &[Mark]) -> Result<(), String> {
+    let count = marks.len() as f64;
+    let middle = [0, 1].map(|axis| marks.iter().map(|mark| mark.wanted_mm[axis]).sum::<f64>() / count);
+    let moment = |one: usize, other: usize| {
+        let parts = marks
+            .iter()
+            .map(|mark| (mark.wanted_mm[one] - middle[one]) * (mark.wanted_mm[other] - middle[other]));
+        parts.sum::<f64>() / count
+    };
+    let (xx, xy, yy) = (moment(0, 0), moment(0, 1), moment(1, 1));
+    let least = 0.5 * (xx + yy) - (0.5 * (xx - yy)).hypot(xy);
+    match least.max(0.0).sqrt() < WIDTH_MIN * config.paper.size_mm[0].min(config.paper.size_mm[1]) {
+        true => Err("the measured marks lie nearly on a line; measure some beside it".to_owned()),
+        false => Ok(()),
+    }
+}
+
+/// Refuses a single mark that is far from everything: a digit that was typed wrong.
+fn check_typed(marks: &[Mark], measured: &[[f64; 2]], wanted: &[[f64; 2]], left_mm: f64) -> Result<(), String> {
+    let without = |index: usize| {
+        let others = |all: &[[f64; 2]]| {
+            let kept = all.iter().enumerate().filter(|(other, _)| *other != index);
+            kept.map(|(_, place)| *place).collect::<Vec<_>>()
+        };
+        let (frame, _, left_mm) = Rigid::between(&others(measured), &others(wanted));
+        let off_mm = measured
+            .get(index)
+            .zip(wanted.get(index))
+            .map_or(0.0, |(measured, wanted)| {
+                let [x, y] = frame.of(*measured);
+                (x - wanted[0]).hypot(y - wanted[1])
+            });
+        (left_mm, off_mm)
+    };
+    let found = (0..marks.len()).map(|index| (index, without(index)));
+    let worst = found.min_by(|(_, (one, _)), (_, (other, _))| one.total_cmp(other));
+    let Some((mark, off_mm)) = worst
+        .filter(|(_, (least_mm, off_mm))| *least_mm < TYPED_PART * left_mm && *off_mm > TYPED_MM)
+        .and_then(|(index, (_, off_mm))| Some((marks.get(index)?, off_mm)))
+    else {
+        return Ok(());
+    };
+    let ([x, y], [measured_x, measured_y]) = (mark.wanted_mm, mark.measured_mm);
+    Err(format!(
+        "the mark at {x:.1}, {y:.1} mm is {off_mm:.1} mm from its place, and all others are near theirs: \
+         {measured_x}, {measured_y} may be typed wrong"
+    ))
+}
+
+/// Refuses touches that are on no plane.
+fn check_touches(touches: &[Touch]) -> Result<(), String> {
+    if touches.is_empty() {
+        return Ok(());
+    }
+    let refused = |cause: touches::TouchError| format!("the touches: {cause}");
+    let fit = touches::fit(touches).map_err(refused)?;
+    touches::check_residual(touches, &fit).map_err(refused)
+}
+
+/// Refuses a machine that would be too far from its drawing.
+fn check_changes(machine: &Machine<'_>, changes: &[[f64; 2]]) -> Result<(), String> {
+    let most = machine
+        .usual()
+        .zip(changes)
+        .map(|(usual, [change, _])| (change / usual).abs())
+        .fold(0.0, f64::max);
+    match most > CHANGE_MAX {
+        true => Err(format!(
+            "a dimension would change by {most:.0} times what is usual: the marks were measured with a wrong scale, or the \
+             configuration is far from the machine; put the dimensions of its drawing there first"
+        )),
+        false => Ok(()),
+    }
+}
+
+/// What is left of the marks, in parts of what their error explains.
+fn left_over(machine: &Machine<'_>, measured: &Measured, unknowns: &[f64]) -> Option<f64> {
+    let left = measured.left(machine, unknowns)?;
+    let of_marks = 2 * measured.marks.len();
+    let squares: f64 = left.iter().take(of_marks).map(|left| left * left).sum();
+    let free = of_marks
+        .saturating_sub(machine.parameters.len() + FRAME_USUAL.len())
+        .max(1);
+    Some((squares / free as f64).sqrt())
 }
 
 /// Distance of each mark from where all others predict it, mm.
@@ -452,14 +583,10 @@ fn found_config(machine: &Machine<'_>, changes: &[[f64; 2]], measured: &Measured
     let values: Vec<f64> = changes.iter().map(|[change, _]| *change).collect();
     let mut config = changed(machine.config, &machine.parameters, &values, true);
     if follows(&config).is_ok() {
-        let places = measured
-            .marks
-            .iter()
-            .filter_map(|(pose, _)| machine.place(&values, *pose));
-        let plane = touches::fit(&places.collect::<Vec<_>>())
-            .map_err(|cause| format!("the sheet: {cause}"))?
-            .plane;
-        config.paper = touches::lying(&config.paper, &plane, 0.0);
+        let there = machine.with(&values).ok_or("no such machine")?;
+        let places = measured.marks.iter().map(|(pose, _)| there.place(*pose));
+        let plane = places.collect::<Option<Vec<_>>>().and_then(|places| plane(&places));
+        config.paper = touches::lying(&config.paper, &plane.ok_or("the marks lie in no plane")?, 0.0);
     }
     let invalid =
         |cause: String| format!("what was found is no machine that can draw: {cause}; look at the table again");
@@ -467,6 +594,21 @@ fn found_config(machine: &Machine<'_>, changes: &[[f64; 2]], measured: &Measured
         .check()
         .map_err(|error| invalid(crate::link::text::config_error(&error)))?;
     Ok(config)
+}
+
+/// The plane through places with the least squares of its distances in z.
+fn plane(places: &[[f64; 3]]) -> Option<Plane> {
+    let equation = |[x, y, z]: &[f64; 3]| Equation {
+        slopes: vec![1.0, *x, *y],
+        left: *z,
+    };
+    let equations: Vec<Equation> = places.iter().map(equation).collect();
+    let solution = Normal::of(&equations, PLANE_USUAL.len())?.solution()?;
+    let [z_mm, along_x, along_y] = *solution.first_chunk()?;
+    Some(Plane {
+        z_mm,
+        slope: [along_x, along_y],
+    })
 }
 
 #[cfg(test)]

@@ -83,6 +83,7 @@ fn drawn(config: &Config, place: impl Fn(JointPose) -> [f64; 3], error_mm: f64, 
     let machine = Machine::new(config).expect("a machine");
     let frame = Rigid::new(2.0 * random.unit() - 1.0, [100.0 * random.unit(), -40.0]);
     marks::places(&config.paper, 5)
+        .expect("a large sheet")
         .into_iter()
         .map(|wanted_mm| {
             let [x, y, _] = place(machine.pose_on_sheet(wanted_mm).expect("on the sheet"));
@@ -98,7 +99,7 @@ fn drawn(config: &Config, place: impl Fn(JointPose) -> [f64; 3], error_mm: f64, 
 /// Error of shape all over the sheet, mm rms: places of the pen against where a configuration puts it, the sheet placed best.
 fn shape_mm(config: &Config, place: impl Fn(JointPose) -> [f64; 3]) -> f64 {
     let machine = Machine::new(config).expect("a machine");
-    let places = marks::places(&config.paper, 15);
+    let places = marks::places(&config.paper, 13).expect("a large sheet");
     let there: Vec<[f64; 2]> = places
         .iter()
         .map(|wanted| {
@@ -153,7 +154,8 @@ fn each_kind_of_machine_finds_what_it_was_made_with() {
         let parameters = of(config.geometry.kind());
         let changes: Vec<f64> = parameters.iter().map(|one| one.usual * (random.unit() - 0.5)).collect();
         let truth = Machine::new(&config).expect("a machine");
-        let place = |believed| truth.place(&changes, believed).expect("in reach");
+        let truth = truth.with(&changes).expect("a machine");
+        let place = |believed| truth.place(believed).expect("in reach");
         let marks = drawn(&config, place, 0.01, &mut random);
         let found = calibrate(&config, &marks, &[], 0.01).unwrap_or_else(|cause| panic!("{}: {cause}", machine.name));
         println!(
@@ -166,7 +168,13 @@ fn each_kind_of_machine_finds_what_it_was_made_with() {
             machine.name
         );
         assert!(found.before.rms_mm > 2.0 * found.after.rms_mm, "{}", machine.name);
-        let [before, after] = expected_mm(&config, &marks::places(&config.paper, 5), &[], 0.01).expect("a sheet");
+        let [before, after] = expected_mm(
+            &config,
+            &marks::places(&config.paper, 5).expect("a large sheet"),
+            &[],
+            0.01,
+        )
+        .expect("a sheet");
         assert!(
             after < 0.2 * before && after < 0.02,
             "{}: {before} {after}",
@@ -180,10 +188,11 @@ fn touches_alone_tell_little_and_marks_nearly_all() {
     let config = Config::default();
     let z_mm = config.paper.pen_down_z_mm;
     let touches: Vec<Touch> = marks::places(&config.paper, 5)
+        .expect("a large sheet")
         .into_iter()
         .map(|[x, y]| [x, y, z_mm])
         .collect();
-    let places = marks::places(&config.paper, 5);
+    let places = marks::places(&config.paper, 5).expect("a large sheet");
     let [before, by_touches] = expected_mm(&config, &[], &touches, 0.03).expect("a sheet");
     let [_, by_marks] = expected_mm(&config, &places, &[], 0.03).expect("a sheet");
     println!("{before:.3} mm, with touches {by_touches:.3}, with marks {by_marks:.3}");
@@ -230,4 +239,46 @@ fn a_wrong_table_is_refused_with_what_is_wrong() {
         "",
     );
     refused(&|marks| marks[2].measured_mm = [f64::MAX, 0.0], "");
+    refused(&|marks| marks[2].measured_mm[1] += 100.0, "typed wrong");
+    refused(
+        &|marks| {
+            marks
+                .iter_mut()
+                .for_each(|mark| mark.measured_mm = mark.measured_mm.map(|mm| 1.02 * mm))
+        },
+        "millimetres",
+    );
+    refused(
+        &|marks| {
+            marks.retain(|mark| (mark.wanted_mm[0] - mark.wanted_mm[1]).abs() < 1.0);
+            marks.extend_from_within(..);
+        },
+        "on a line",
+    );
+    let z_mm = config.paper.pen_down_z_mm;
+    let touches = [[-80.0, -80.0], [80.0, -80.0], [80.0, 80.0], [-80.0, 80.0], [0.0, 0.0]].map(|[x, y]| [x, y, z_mm]);
+    assert!(calibrate(&config, &marks, &touches, 0.03).is_ok());
+    let mut wrong = touches;
+    wrong[4][2] += 10.0;
+    let cause = calibrate(&config, &marks, &wrong, 0.03).expect_err("a touch is wrong");
+    assert!(cause.contains("touch"), "{cause}");
+}
+
+#[test]
+fn marks_that_were_measured_too_coarsely_are_no_better_and_say_so() {
+    let config = Config::default();
+    let machine = Machine::new(&config).expect("a machine");
+    let truth = machine.with(&[0.0; 9]).expect("a machine");
+    for seed in 1..=20 {
+        let mut random = Random::new(seed);
+        let marks = drawn(
+            &config,
+            |believed| truth.place(believed).expect("in reach"),
+            0.2,
+            &mut random,
+        );
+        let found = calibrate(&config, &marks, &[], 0.05).expect("a machine");
+        assert!(!found.is_better() && found.left_over > 2.0, "{seed}: {found:?}");
+        assert!(found.changes.iter().all(|[_, error]| *error > 0.0));
+    }
 }

@@ -2,7 +2,7 @@
 
 use super::{ConfigArguments, print_json};
 use crate::axes::{self, Motion, Quantity};
-use crate::calibration::marks::{self, Mark};
+use crate::calibration::marks::{self, Table};
 use crate::calibration::parameters::{Parameter, What, value};
 use crate::calibration::{Distance, Found, calibrate, expected_mm};
 use crate::error::{ProgramError, code};
@@ -14,25 +14,30 @@ use serde::Serialize;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
+/// What is left of the marks, in parts of what measuring explains, that is worth a word.
+const LEFT_OVER: f64 = 2.0;
 /// Largest table, bytes.
 const TABLE_BYTES_MAX: u64 = 1 << 20;
 
+/// How the command is used.
+const STEPS: &str = "\
+1. etherpen calibrate --pattern marks.svg: a drawing of crosses, and marks.csv beside it with their places.
+2. etherpen draw marks.svg: on a sheet that does not move, without --fit and --size.
+3. Measure where the crosses are, from any corner, x to the right and y up, and write it into marks.csv. A cross that is not
+   measured stays empty.
+4. etherpen calibrate marks.csv --store, and home again before the next drawing.";
+
 /// Options of `etherpen calibrate`.
-///
-/// 1. etherpen calibrate --pattern marks.svg: writes a drawing of crosses, and marks.csv beside it with their places.
-/// 2. etherpen draw marks.svg: on a sheet that does not move, without --fit and --size.
-/// 3. Measure where the crosses are, from any corner, x to the right and y up, and write it into marks.csv; a cross
-///    that is not measured stays empty.
-/// 4. etherpen calibrate marks.csv --store, and home again before the next drawing.
 #[derive(clap::Args, Debug)]
+#[command(after_long_help = STEPS)]
 pub struct Arguments {
     /// Table of the marks: x_mm,y_mm from the middle of the sheet, and measured_x_mm,measured_y_mm.
     #[arg(value_name = "MARKS")]
     marks: Option<PathBuf>,
-    /// Write the drawing, and its table beside it.
+    /// Write the drawing, an SVG, and its table beside it.
     #[arg(long, value_name = "FILE", conflicts_with = "marks")]
     pattern: Option<PathBuf>,
-    /// Marks in a row and in a column of the drawing.
+    /// With --pattern: marks in a row and in a column of the drawing, 3 to 21.
     #[arg(long, value_name = "NUMBER", default_value_t = 5, value_parser = clap::value_parser!(u8).range(3..=21))]
     side: u8,
     /// A place where the pen touched the sheet, as `etherpen paper --touch` takes it. Touches tell little about dimensions; without
@@ -93,6 +98,10 @@ struct Answer {
     /// Error of shape over the sheet that is usual before and expected with these marks, rms.
     expected_before_mm: f64,
     expected_after_mm: f64,
+    /// What is left of the marks, in parts of what the error of measuring them explains.
+    left_over: f64,
+    /// Whether the marks are predicted better with what was found than without.
+    is_better: bool,
     values: Vec<Value>,
     stored: Option<String>,
 }
@@ -128,7 +137,16 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     };
     let store = arguments.store.then(|| arguments.config.file_to_store(&config));
     let store = store.transpose()?;
-    let marks = read(file)?;
+    let table = read(file)?;
+    if table.origin.is_some_and(|origin| origin != marks::origin(&config)) {
+        let text = format!(
+            "{}: its marks were drawn with other dimensions, marks of the axes or another sheet than the configuration has now (it may \
+             have what was found already): draw a new pattern",
+            file.display()
+        );
+        return Err(ProgramError::new(code::INPUT, text));
+    }
+    let marks = table.marks;
     let places: Vec<[f64; 2]> = marks.iter().map(|mark| mark.wanted_mm).collect();
     let unusable = |cause: String| ProgramError::new(code::INPUT, format!("{}: {cause}", file.display()));
     let found = calibrate(&config, &marks, &arguments.touch, arguments.error).map_err(unusable)?;
@@ -141,12 +159,26 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         predicted: found.predicted,
         expected_before_mm,
         expected_after_mm,
+        left_over: found.left_over,
+        is_better: found.is_better(),
         values: values(&config, &found),
         stored: None,
     };
+    if arguments.store && !answer.is_better {
+        let text = format!(
+            "nothing is stored: marks are {:.3} mm from where all others predict them with what was found, and {:.3} mm from their \
+             places as the machine is; measure more exactly, or leave it as it is",
+            answer.predicted.rms_mm, answer.shape_before.rms_mm
+        );
+        return Err(ProgramError::new(code::FAILED, text));
+    }
     if let Some(path) = store {
         let changed = store_dimensions(&path, &config, &found.config)?;
-        eprintln!("{} changed in {}.", counted(changed, "value"), path.display());
+        eprintln!(
+            "{} changed in {}. Home again before the next drawing.",
+            counted(changed, "value"),
+            path.display()
+        );
         answer.stored = Some(path.display().to_string());
     }
     match arguments.json {
@@ -161,7 +193,7 @@ fn print(text: &str) -> Result<(), ProgramError> {
         .or_else(ProgramError::of_stdout)
 }
 
-fn read(file: &Path) -> Result<Vec<Mark>, ProgramError> {
+fn read(file: &Path) -> Result<Table, ProgramError> {
     let input = |cause: String| ProgramError::new(code::INPUT, format!("{}: {cause}", file.display()));
     let length = std::fs::metadata(file).map_err(|cause| input(cause.to_string()))?.len();
     if length > TABLE_BYTES_MAX {
@@ -173,26 +205,26 @@ fn read(file: &Path) -> Result<Vec<Mark>, ProgramError> {
 
 fn write_pattern(config: &Config, file: &Path, side: usize) -> Result<(), ProgramError> {
     let table = file.with_extension("csv");
-    if table == file {
-        let text = format!(
-            "{}: the drawing is an SVG, and its table the CSV beside it",
+    let refused = |text: String| ProgramError::new(code::USAGE, text);
+    if !file
+        .extension()
+        .is_some_and(|extension| extension.eq_ignore_ascii_case("svg"))
+    {
+        return Err(refused(format!(
+            "{}: the drawing is an SVG, and its table the CSV beside it: name it so, marks.svg",
             file.display()
-        );
-        return Err(ProgramError::new(code::USAGE, text));
+        )));
     }
-    // It may have measured values.
-    if table.exists() {
-        let text = format!(
-            "{} exists; name another drawing, or move the table away",
-            table.display()
-        );
-        return Err(ProgramError::new(code::USAGE, text));
+    // The table may have measured values, and the drawing may be somebody's.
+    if let Some(path) = [file, &table].into_iter().find(|path| path.exists()) {
+        return Err(refused(format!(
+            "{} exists; name another drawing, or move it away",
+            path.display()
+        )));
     }
-    let places = marks::places(&config.paper, side);
-    for (path, text) in [
-        (file, marks::svg(&config.paper, &places)),
-        (&table, marks::table(&places)),
-    ] {
+    let places = marks::places(&config.paper, side).map_err(refused)?;
+    let written = marks::table(&places, marks::origin(config));
+    for (path, text) in [(file, marks::svg(&config.paper, &places)), (&table, written)] {
         crate::output_file::write(path, text.as_bytes())
             .map_err(|cause| ProgramError::failed(format!("{} cannot be written", path.display()), cause))?;
     }
@@ -210,7 +242,7 @@ fn of_touches(arguments: &Arguments, config: &Config) -> Result<(), ProgramError
     let touches = &arguments.touch;
     let [expected_before_mm, expected_after_mm] =
         expected_mm(config, &[], touches, arguments.error).map_err(refused)?;
-    let places = marks::places(&config.paper, arguments.side.into());
+    let places = marks::places(&config.paper, arguments.side.into()).map_err(refused)?;
     let [_, expected_with_marks_mm] = expected_mm(config, &places, touches, arguments.error).map_err(refused)?;
     let answer = OfTouches {
         touches: touches.len(),
@@ -253,7 +285,7 @@ fn values(config: &Config, found: &Found) -> Vec<Value> {
                     motion.factor(),
                 )
             }
-            What::Pitch(axis) => (format!("axes[{axis}].pitch_mm"), "of what it was", 1.0),
+            What::Pitch(axis) => (format!("axes[{axis}].pitch_mm"), "times what it was", 1.0),
         };
         let after = if matches!(what, What::Pitch(_)) {
             1.0 + change
@@ -294,6 +326,20 @@ impl Answer {
                 "{name:32} {before:>12.5} -> {after:>12.5} {unit} (standard error {error:.5})\n"
             ));
         }
+        if self.left_over > LEFT_OVER {
+            text.push_str(&format!(
+                "What is left is {:.1} times what measuring with --error explains: it was measured less well, or the machine differs in a \
+                 way that has no dimension here (out of square, say).\n",
+                self.left_over
+            ));
+        }
+        if !self.is_better {
+            text.push_str("The marks are predicted no better than without: leave the machine as it is.\n");
+        }
+        text.push_str(&format!(
+            "expected error of shape over the sheet: usually {:.3} mm rms, with these marks {:.3}\n",
+            self.expected_before_mm, self.expected_after_mm
+        ));
         if self.stored.is_none() {
             text.push_str("Not stored; --store does that.\n");
         }

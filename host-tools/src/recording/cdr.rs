@@ -60,6 +60,11 @@ impl<'a> Decoder<'a> {
         Some(Self { bytes, place: 0 })
     }
 
+    /// Whether all bytes have been read.
+    pub(super) fn is_at_end(&self) -> bool {
+        self.place == self.bytes.len()
+    }
+
     pub(super) fn text(&mut self) -> Option<String> {
         let length = self.word()? as usize;
         let end = self.place.checked_add(length)?;

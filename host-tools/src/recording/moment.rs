@@ -17,6 +17,8 @@ use etherpen::robots::{AXES, Position};
 
 /// Bytes of a sample without an axis in recordings from before it had named inputs and outputs.
 const BYTES_WITHOUT_AXES: usize = 44;
+/// Columns of an axis.
+const COLUMNS: usize = 4;
 /// Bytes of an axis.
 const AXIS_BYTES: usize = 16;
 /// Bytes of the named inputs and outputs.
@@ -49,19 +51,22 @@ impl SampleAxes {
         Self(motions)
     }
 
-    /// The axes of a definition: those of which it has all four columns, one behind the other.
+    /// The axes of a definition, one behind the other; `None` if there is none, or if it has a part of an axis's columns only.
     #[must_use]
-    pub fn of_schema(schema: &str) -> Self {
-        let mut index = 0;
-        Self([(); AXES].map(|()| {
-            let has_columns = |motion: &Motion| {
-                let mut columns = view(index, *motion).columns().into_iter();
-                columns.all(|column| schema.lines().any(|line| line == format!("float32 {column}")))
-            };
-            let found = [Motion::Rotary, Motion::Linear].into_iter().find(has_columns);
-            index += 1;
-            found
-        }))
+    pub fn of_schema(schema: &str) -> Option<Self> {
+        let columns: Vec<&str> = schema
+            .lines()
+            .filter_map(|line| line.strip_prefix("float32 "))
+            .collect();
+        let mut motions = [None; AXES];
+        let mut left = columns.as_slice();
+        for (index, motion) in motions.iter_mut().enumerate().take(columns.len().div_ceil(COLUMNS)) {
+            let (own, rest) = left.split_at_checked(COLUMNS)?;
+            let has_columns = |motion: &Motion| view(index, *motion).columns().iter().eq(own);
+            *motion = Some([Motion::Rotary, Motion::Linear].into_iter().find(has_columns)?);
+            left = rest;
+        }
+        (left.is_empty() && !columns.is_empty()).then_some(Self(motions))
     }
 
     /// The definition of a sample with these axes.
@@ -185,7 +190,7 @@ impl Moment {
             measured_rad_s,
             io,
         };
-        Some(Self { sample, position })
+        cdr.is_at_end().then_some(Self { sample, position })
     }
 }
 
@@ -325,8 +330,17 @@ mod tests {
             ["q3_ref_rad", "q3_rad", "v3_ref_rad_s", "v3_rad_s"],
         ];
         assert_eq!(columns, wanted.as_flattened());
-        assert_eq!(SampleAxes::of_schema(&schema), MIXED);
-        assert_eq!(SampleAxes::of_schema(&SampleAxes::ROTARY.schema()), SampleAxes::ROTARY);
+        assert_eq!(SampleAxes::of_schema(&schema), Some(MIXED));
+        let rotary = SampleAxes::ROTARY.schema();
+        assert_eq!(SampleAxes::of_schema(&rotary), Some(SampleAxes::ROTARY));
+        for damaged in [
+            "",
+            "uint32 t_ms\n",
+            &rotary.replace("q2_rad", "q2_red"),
+            &rotary.replace("float32 v4_rad_s\n", ""),
+        ] {
+            assert_eq!(SampleAxes::of_schema(damaged), None, "{damaged}");
+        }
         let mut bytes = Vec::new();
         moment().encode(&MIXED, &mut bytes);
         assert_eq!(bytes.len(), 116 - AXIS_BYTES + 3 * 4);

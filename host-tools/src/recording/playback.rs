@@ -151,10 +151,11 @@ fn decode(message: &Message<'_>, axes: &mut Option<SampleAxes>) -> Option<Record
     let data = message.data;
     match message.topic {
         name if name == sample => {
-            let axes = axes.get_or_insert_with(|| match message.schema {
-                "" => SampleAxes::ROTARY,
-                schema => SampleAxes::of_schema(schema),
-            });
+            // Without a definition nobody knows what the numbers are.
+            let axes = match axes {
+                Some(axes) => axes,
+                None => axes.insert(SampleAxes::of_schema(message.schema)?),
+            };
             Moment::decode(axes, data).map(RecordingEntry::Moment)
         }
         name if name == gap => Gap::decode(data).map(RecordingEntry::Gap),

@@ -116,6 +116,16 @@ fn table(geometry: &Geometry) -> toml_edit::InlineTable {
 }
 
 fn set(table: &mut dyn TableLike, key: &str, mut value: Value) {
+    if let (Some(Item::Value(Value::Array(before))), Value::Array(wanted)) = (table.get_mut(key), &value)
+        && before.len() == wanted.len()
+    {
+        for (before, wanted) in before.iter_mut().zip(wanted) {
+            let decor = before.decor().clone();
+            *before = wanted.clone();
+            *before.decor_mut() = decor;
+        }
+        return;
+    }
     match table.get(key).and_then(Item::as_value) {
         Some(before) => *value.decor_mut() = before.decor().clone(),
         None => value.decor_mut().clear(),
@@ -166,6 +176,18 @@ mod tests {
             }
             assert_eq!(settings.config().expect("a machine").geometry, wanted.geometry);
         }
+    }
+
+    #[test]
+    fn the_comments_in_a_list_stay() {
+        let text = "[geometry]\narm_azimuths_deg = [\n  0.0, # front\n  120.0,\n  240.0 # left\n]\n";
+        let mut settings = Settings::parse(text).expect("a configuration");
+        let mut geometry = settings.config().expect("a machine").geometry;
+        if let Geometry::Delta(delta) = &mut geometry {
+            delta.arm_azimuths_deg[1] = 120.25;
+        }
+        assert_eq!(settings.store_geometry(&geometry).expect("stored"), 1);
+        assert_eq!(settings.document.to_string(), text.replace("120.0", "120.25"));
     }
 
     #[test]

@@ -104,13 +104,16 @@ fn a_robot_with_errors_of_half_a_millimetre_draws_true_after_its_marks_were_meas
         },
         ..Physics::NOMINAL
     };
-    let grid = places(&machine.paper, 9);
+    let grid = places(&machine.paper, 9).expect("a large sheet");
     for seed in [1, 2, 3] {
         let folder = Folder::new();
         let file = folder.file("etherpen.toml", IRB340);
-        let marks = places(&machine.paper, 5);
+        let marks = places(&machine.paper, 5).expect("a large sheet");
         let measured = inked(&machine, &machine, physics, seed, &marks);
-        let mut table = String::from("x_mm,y_mm,measured_x_mm,measured_y_mm\n");
+        let (status, _, text) = run(etherpen(&folder).args(["calibrate", "--pattern", "marks.svg"]));
+        assert_eq!(status, Some(0), "{text}");
+        let pattern = fs::read_to_string(folder.join("marks.csv")).expect("the table");
+        let mut table: String = pattern.lines().take(2).flat_map(|line| [line, "\n"]).collect();
         for ([x, y], [measured_x, measured_y]) in marks.iter().zip(&measured) {
             // Somebody measures from the corner of the sheet, to a twentieth.
             let read = |mm: f64| ((mm + 100.0) * 20.0).round() / 20.0;
@@ -127,6 +130,14 @@ fn a_robot_with_errors_of_half_a_millimetre_draws_true_after_its_marks_were_meas
         assert!(after < 0.03 && after < 0.5 * before, "seed {seed}: {before} {after}");
         assert_eq!(answer["marks"], 25);
         let changed = fs::read_to_string(&file).expect("the file");
+        // What was measured says nothing about the machine that it has changed.
+        let (status, _, text) = run(etherpen(&folder).args(["calibrate", "marks.csv", "--store"]));
+        assert_eq!(
+            (status, text.contains("already")),
+            (Some(code::INPUT.into()), true),
+            "{text}"
+        );
+        assert_eq!(fs::read_to_string(&file).expect("the file"), changed);
         assert_eq!(changed.matches('#').count(), IRB340.matches('#').count());
     }
 }
@@ -137,7 +148,7 @@ fn the_pattern_is_drawn_where_its_table_says_and_what_was_measured_is_not_overwr
     let (status, _, text) = run(etherpen(&folder).args(["calibrate", "--pattern", "marks.svg", "--side", "3"]));
     assert_eq!(status, Some(0), "{text}");
     let table = fs::read_to_string(folder.join("marks.csv")).expect("the table");
-    assert_eq!(table.lines().count(), 10);
+    assert_eq!(table.lines().count(), 11);
     let (status, _, text) = run(etherpen(&folder).args(["calibrate", "--pattern", "marks.svg"]));
     assert_eq!(
         (status, text.contains("exists")),
@@ -154,7 +165,7 @@ fn the_pattern_is_drawn_where_its_table_says_and_what_was_measured_is_not_overwr
             Some([cells.next()??, cells.next()??])
         })
         .collect();
-    for line in table.lines().skip(1) {
+    for line in table.lines().skip(2) {
         let cells: Vec<f64> = line.split(',').filter_map(|cell| cell.parse().ok()).collect();
         let [x, y] = cells[..] else { panic!("{line}") };
         for [across, up] in [[HALF_MM, 0.0], [-HALF_MM, 0.0], [0.0, HALF_MM], [0.0, -HALF_MM]] {
@@ -176,6 +187,7 @@ fn a_table_that_cannot_be_used_changes_nothing_and_says_why() {
         (&["calibrate", "none.csv"][..], code::INPUT, "none.csv"),
         (&["calibrate"][..], code::USAGE, "--pattern"),
         (&["calibrate", "--pattern", "marks.csv"][..], code::USAGE, "SVG"),
+        (&["calibrate", "--pattern", "etherpen.toml"][..], code::USAGE, "SVG"),
     ] {
         let (ended, _, text) = run(etherpen(&folder).args(arguments));
         assert_eq!(ended, Some(status.into()), "{arguments:?}: {text}");
