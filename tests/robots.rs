@@ -31,6 +31,7 @@ const KINDS: [Kind; 5] = [
             "crates/certify/tests/certify/planning.rs",
             "crates/monitor/src/robot/delta.rs",
             "crates/motion/src/robots/delta/",
+            "host-tools/src/calibration/tests/delta.rs",
             "host-tools/src/campaign/robot/delta.rs",
             "host-tools/src/cell/calibration.rs",
             "host-tools/src/cell/mechanism/delta.rs",
@@ -107,10 +108,11 @@ const SEAMS: [&str; 13] = [
 ];
 
 /// Files in which all kinds stand side by side, with their parts.
-const SIDE_BY_SIDE: [&str; 7] = [
+const SIDE_BY_SIDE: [&str; 8] = [
     "crates/motion/src/robots/errors.rs",
     "host-tools/assets/console/robot.js",
     "host-tools/src/axes.rs",
+    "host-tools/src/calibration/parameters.rs",
     "host-tools/src/cell/mechanism/linked.rs",
     "host-tools/src/commands/configuration.rs",
     "host-tools/src/console/skeleton.rs",

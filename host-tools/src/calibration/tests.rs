@@ -1,77 +1,10 @@
-//! Calibration against machines whose arms differ from each other, with mechanics of their own; and against wrong tables.
+//! Calibration against machines with mechanics of their own, and against wrong tables.
+
+mod delta;
 
 use super::*;
 use crate::random::Random;
-use etherpen::robots::Geometry;
-
-/// A delta robot with a length of its own for each arm. Its kinematics are three spheres, solved by Newton's method: no code of the
-/// controller's.
-struct Arms {
-    azimuth_rad: [f64; 3],
-    offset_mm: [f64; 3],
-    upper_mm: [f64; 3],
-    forearm_mm: [f64; 3],
-    sync_rad: [f64; 3],
-}
-
-impl Arms {
-    fn new(config: &Config, random: &mut Random) -> Self {
-        let Geometry::Delta(delta) = config.geometry else {
-            panic!("a delta robot");
-        };
-        let mut signed = |size: f64| if random.unit() < 0.5 { -size } else { size };
-        let mut three = |value: f64, size: f64| [(); 3].map(|()| value + signed(size));
-        Self {
-            offset_mm: three(delta.base_radius_mm - delta.platform_radius_mm, 0.5),
-            upper_mm: three(delta.upper_arm_mm, 0.5),
-            forearm_mm: three(delta.forearm_mm, 0.5),
-            azimuth_rad: {
-                let off = three(0.0, 0.001);
-                [0, 1, 2].map(|arm| delta.arm_azimuths_deg[arm].to_radians() + off[arm])
-            },
-            sync_rad: three(0.0, 0.002),
-        }
-    }
-
-    /// Where the pen is when the controller believes the arms at these angles.
-    fn place(&self, believed: JointPose) -> [f64; 3] {
-        let centre = |arm: usize| {
-            let angle = believed[arm] + self.sync_rad[arm];
-            let radius = self.offset_mm[arm] + self.upper_mm[arm] * angle.cos();
-            let (sine, cosine) = self.azimuth_rad[arm].sin_cos();
-            [radius * cosine, radius * sine, -self.upper_mm[arm] * angle.sin()]
-        };
-        let centres = [0, 1, 2].map(centre);
-        let mut place = [0.0, 0.0, -850.0];
-        for _ in 0..30 {
-            let mut rows = [[0.0; 4]; 3];
-            for (arm, row) in rows.iter_mut().enumerate() {
-                let apart = [0, 1, 2].map(|axis| place[axis] - centres[arm][axis]);
-                let square: f64 = apart.iter().map(|mm| mm * mm).sum();
-                *row = [
-                    2.0 * apart[0],
-                    2.0 * apart[1],
-                    2.0 * apart[2],
-                    self.forearm_mm[arm].powi(2) - square,
-                ];
-            }
-            let minor = |a: [f64; 3], b: [f64; 3]| {
-                [
-                    a[1] * b[2] - a[2] * b[1],
-                    a[2] * b[0] - a[0] * b[2],
-                    a[0] * b[1] - a[1] * b[0],
-                ]
-            };
-            let [a, b, c] = rows.map(|row| [row[0], row[1], row[2]]);
-            let (bc, ca, ab) = (minor(b, c), minor(c, a), minor(a, b));
-            let determinant: f64 = (0..3).map(|axis| a[axis] * bc[axis]).sum();
-            for (axis, value) in place.iter_mut().enumerate() {
-                *value += (rows[0][3] * bc[axis] + rows[1][3] * ca[axis] + rows[2][3] * ab[axis]) / determinant;
-            }
-        }
-        place
-    }
-}
+use delta::TrueDelta;
 
 /// Gaussian noise, from twelve even numbers.
 fn noise(random: &mut Random) -> f64 {
@@ -111,13 +44,13 @@ fn shape_mm(config: &Config, place: impl Fn(JointPose) -> [f64; 3]) -> f64 {
 }
 
 #[test]
-fn a_delta_whose_arms_differ_is_found_from_25_marks_measured_by_hand() {
+fn a_machine_with_errors_of_half_a_millimetre_is_found_from_25_marks_measured_by_hand() {
     let config = Config::default();
     let (mut befores, mut afters) = (0.0, 0.0_f64);
     for seed in 1..=20 {
         let mut random = Random::new(seed);
-        let arms = Arms::new(&config, &mut random);
-        let place = |believed| arms.place(believed);
+        let truth = TrueDelta::new(&config, &mut random);
+        let place = |believed| truth.place(believed);
         let marks = drawn(&config, place, 0.03, &mut random);
         let found = calibrate(&config, &marks, &[], 0.03).expect("a machine");
         // The marks of the found configuration are where its axes are homed: its poses differ by what was found.
@@ -126,7 +59,7 @@ fn a_delta_whose_arms_differ_is_found_from_25_marks_measured_by_hand() {
             for (joint, sync) in believed.iter_mut().zip(syncs) {
                 *joint -= sync;
             }
-            arms.place(believed)
+            truth.place(believed)
         };
         let (before, after) = (shape_mm(&config, place), shape_mm(&found.config, placed));
         println!("seed {seed}: {before:.3} to {after:.3} mm, {:?}", found.predicted);
@@ -203,8 +136,8 @@ fn touches_alone_tell_little_and_marks_nearly_all() {
 fn a_wrong_table_is_refused_with_what_is_wrong() {
     let config = Config::default();
     let mut random = Random::new(3);
-    let arms = Arms::new(&config, &mut random);
-    let marks = drawn(&config, |believed| arms.place(believed), 0.03, &mut random);
+    let truth = TrueDelta::new(&config, &mut random);
+    let marks = drawn(&config, |believed| truth.place(believed), 0.03, &mut random);
     let refused = |change: &dyn Fn(&mut Vec<Mark>), part: &str| {
         let mut marks = marks.clone();
         change(&mut marks);
