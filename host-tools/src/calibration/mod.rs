@@ -75,9 +75,9 @@ pub struct Found {
     pub parameters: Vec<Parameter>,
     /// The change of each, and its standard error, in the controller's unit.
     pub changes: Vec<[f64; 2]>,
-    /// Distance of the marks from their places, the sheet placed best: as the machine is, and with what was found.
+    /// Distance of the marks from their places as the machine is, the sheet placed best.
     pub before: Distance,
-    /// See [`Self::before`].
+    /// Distance of the marks from their places with what was found, the sheet placed best.
     pub after: Distance,
     /// Distance of each mark from where all others predict it.
     pub predicted: Distance,

@@ -91,7 +91,7 @@ struct Answer {
     marks: usize,
     /// Distance of the marks from their places, the sheet placed best.
     shape_before: Distance,
-    /// The same with what was found.
+    /// Distance of the marks from their places with what was found, the sheet placed best.
     shape_after: Distance,
     /// Distance of each mark from where all others predict it.
     predicted: Distance,
@@ -112,7 +112,7 @@ struct OfTouches {
     touches: usize,
     expected_before_mm: f64,
     expected_after_mm: f64,
-    /// The same with 25 marks and these touches.
+    /// Error of shape over the sheet that is expected with the marks of a pattern and these touches, rms.
     expected_with_marks_mm: f64,
 }
 
