@@ -2,7 +2,7 @@
 
 use super::super::contents::SampleEntry;
 use super::SETTLED_MS;
-use super::events::{EVENT_MS, Events};
+use super::events::{EVENT_MS, Events, FAULT_EVENT_MS};
 use etherpen::application::{Fault, StopSource};
 use etherpen::config::{AxisMode, Config};
 use etherpen::control::sampler::{CycleReport, STANDSTILL_MS};
@@ -134,10 +134,12 @@ impl<'a> Comparison<'a> {
         // An axis loses its home to an implausible feedback, which is compared with the commands, even while another
         // axis has the fault; what the drives were commanded after a fault is not recorded.
         let is_latched = now.fault || report.fault.is_some();
-        // The event of an order comes after the sample that shows its effect.
-        let is_unwritten = now.before_end_s * 1e3 < f64::from(EVENT_MS);
+        // The event of an order or a fault comes after the sample that shows its effect.
+        let is_unwritten = |within_ms: u32| now.before_end_s * 1e3 < f64::from(within_ms);
         let differs = |axis: usize| now.homed[axis] != report.homed[axis];
-        if (0..AXES).any(|axis| differs(axis) && (is_latched || is_unwritten || self.compares_since_before(axis))) {
+        if (0..AXES)
+            .any(|axis| differs(axis) && (is_latched || is_unwritten(EVENT_MS) || self.compares_since_before(axis)))
+        {
             return Some(fault);
         }
         if self.has_searched {
@@ -151,7 +153,7 @@ impl<'a> Comparison<'a> {
             Some(Fault::PathStopLeft(_)) if now.fault => true,
             Some(fault) => !is_replayed(&fault) || self.reaches_back(&fault),
             // Overwritten, or not written yet.
-            None => self.events.begin_after(now) || is_unwritten,
+            None => self.events.begin_after(now) || is_unwritten(FAULT_EVENT_MS),
         };
         is_outside.then_some(fault)
     }

@@ -3,9 +3,13 @@
 use super::super::contents::{EventEntry, SampleEntry};
 use etherpen::application::{Command, Fault};
 use etherpen::black_box::Event;
+use etherpen::motion::PERIOD_MS;
 
 /// Time by which an event may come after the sample that shows its effect, or before it, ms.
 pub(super) const EVENT_MS: u32 = 6;
+/// Longest time from a sample with a new fault to the fault's event, ms: the task that writes events waits while the
+/// trajectory task plans.
+pub(super) const FAULT_EVENT_MS: u32 = PERIOD_MS as u32;
 
 /// Recorded events, oldest first.
 #[derive(Clone, Copy, Debug)]
@@ -50,9 +54,10 @@ impl Events<'_> {
     /// The fault that was recorded as new shortly after a sample.
     pub(super) fn fault_at(self, sample: &SampleEntry) -> Option<Fault> {
         self.0.iter().find_map(|entry| {
+            // The event may have a time one millisecond earlier.
             let after_ms = entry.t_ms.wrapping_sub(sample.t_ms).wrapping_add(1);
             match entry.event {
-                Some(Event::Fault(fault)) if after_ms <= EVENT_MS => fault,
+                Some(Event::Fault(fault)) if after_ms <= FAULT_EVENT_MS + 1 => fault,
                 _ => None,
             }
         })
