@@ -44,6 +44,24 @@ pub enum SearchFailure {
     Differs,
 }
 
+/// Deceleration with which an axis comes to rest in a search, rad/s2.
+pub const fn search_deceleration_rad_s2(axis: &Axis) -> f64 {
+    axis.quick_stop_rad_s2.abs() * ACCELERATION_PART
+}
+
+/// Longest way that an axis goes on behind its switch at the search speed, rad: until the switch is noticed, and to rest.
+pub fn way_behind_switch_rad(axis: &Axis) -> f64 {
+    let speed_rad_s = axis.home.speed_rad_s.abs();
+    speed_rad_s * INPUT_S + 0.5 * speed_rad_s * speed_rad_s / search_deceleration_rad_s2(axis)
+}
+
+/// Fastest search that goes no farther than this behind its switch, rad/s.
+pub fn search_speed_max_rad_s(axis: &Axis, way_rad: f64) -> f64 {
+    let deceleration_rad_s2 = search_deceleration_rad_s2(axis);
+    let root_s = libm::sqrt(INPUT_S * INPUT_S + 2.0 * way_rad.max(0.0) / deceleration_rad_s2);
+    deceleration_rad_s2 * (root_s - INPUT_S)
+}
+
 /// What an axis does.
 #[derive(Clone, Copy, Debug, PartialEq)]
 enum Phase {
@@ -116,7 +134,7 @@ impl AxisSearch {
     fn new(axis: &Axis, position_rad: f64) -> Self {
         Self {
             home: axis.home,
-            acceleration_rad_s2: axis.quick_stop_rad_s2.abs() * ACCELERATION_PART,
+            acceleration_rad_s2: search_deceleration_rad_s2(axis),
             phase: Phase::Waiting,
             switch: Switch::default(),
             is_known: false,

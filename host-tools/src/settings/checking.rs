@@ -7,6 +7,8 @@
 
 mod homing;
 
+pub(crate) use homing::room_behind_switch_rad;
+
 use super::reading::{self, ReadingError};
 use super::shortened;
 use crate::axes::{AxisView, Motion, Quantity, axes};

@@ -10,6 +10,7 @@ use super::setup::END_RAD;
 use crate::axes::{Motion, motion};
 use crate::settings::checking;
 use etherpen::config::{AxisMode, Config, WorkVolume};
+use etherpen::control::search::way_behind_switch_rad;
 use etherpen::motion::WorkArea;
 use etherpen::robots::{AXES, JointAngles, Kinematics, MAIN_AXES};
 use std::f64::consts::TAU;
@@ -173,6 +174,38 @@ fn search_farther(episode: &mut Episode) {
             let place = format!("axes.{axis}.home.travel_max_rad");
             episode.config.insert(place, Value::Float(needed_rad));
         }
+    }
+}
+
+/// Gives axes with a weak quick stop the room behind their home switches in which a search comes to rest: without it they would
+/// run against their ends, of which `etherpen config check` warns.
+pub(super) fn make_room_behind_switches(episode: &mut Episode) {
+    let Ok(config) = episode.configuration() else { return };
+    let Ok(Value::Table(geometry)) = Value::try_from(config.geometry) else {
+        return;
+    };
+    let ranges = geometry
+        .iter()
+        .filter(|(name, _)| name.contains("_range_") && !name.starts_with("turn_"));
+    for (axis, (name, range)) in ranges.enumerate() {
+        let settings = &config.axes[axis];
+        let Some(room_rad) = checking::room_behind_switch_rad(&config, axis) else {
+            continue;
+        };
+        let missing_rad = way_behind_switch_rad(settings) - room_rad;
+        let ends = range
+            .as_array()
+            .map(|ends| ends.iter().filter_map(Value::as_float).collect::<Vec<f64>>());
+        let (Some(&[low, high]), true) = (ends.as_deref(), missing_rad > 0.0) else {
+            continue;
+        };
+        let missing = (missing_rad * motion(config.geometry.kind(), axis).factor()).ceil();
+        let wider = match settings.home.speed_rad_s > 0.0 {
+            true => [low, high + missing],
+            false => [low - missing, high],
+        };
+        let wider = Value::Array(wider.map(Value::Float).to_vec());
+        episode.config.insert(format!("geometry.{name}"), wider);
     }
 }
 

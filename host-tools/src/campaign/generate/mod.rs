@@ -80,6 +80,7 @@ pub fn episode(machine: &Machine, seed: u64, profile: Profile) -> Episode {
     setup::vary(&mut episode, machine, seed, &mut chance);
     mechanism::vary(&mut episode, seed);
     seldom::handle(&mut episode, seed);
+    mechanism::make_room_behind_switches(&mut episode);
     match profile {
         Profile::Terminals if machine.chain.terminals.is_empty() => setup::with_terminals(&mut episode, machine),
         Profile::Cables => setup::with_serial_numbers(&mut episode, machine),

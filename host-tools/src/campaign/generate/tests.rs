@@ -4,6 +4,7 @@ use crate::cell::SlaveKind;
 use crate::settings::checking;
 use crate::settings::machines::MACHINES;
 use etherpen::config::{Config, PenLiftKind};
+use etherpen::control::search::way_behind_switch_rad;
 use etherpen::ethercat::cyclic::ExchangeKind;
 use etherpen::motion::WorkArea;
 use std::collections::BTreeSet;
@@ -91,6 +92,32 @@ fn robots_of_other_dimensions_reach_their_sheet_on_every_machine() {
         );
         assert!(unlike >= 3, "{}: {unlike} of {others} differ by much", machine.name);
     }
+}
+
+#[test]
+fn searches_come_to_rest_within_their_axes() {
+    let (mut searching, mut weak) = (0, 0);
+    for machine in MACHINES.map(|machine| self::machine(machine.name)) {
+        for config in configurations(&machine) {
+            for (axis, settings) in config.axes.iter().enumerate().take(machine.axes()) {
+                let Some(room_rad) = checking::room_behind_switch_rad(&config, axis) else {
+                    continue;
+                };
+                let way_rad = way_behind_switch_rad(settings);
+                assert!(
+                    way_rad <= room_rad,
+                    "{}, axis {axis}: {way_rad} > {room_rad}",
+                    machine.name
+                );
+                searching += 1;
+                weak += u32::from(settings.quick_stop_rad_s2 < 0.5 * machine.config.axes[axis].quick_stop_rad_s2);
+            }
+        }
+    }
+    assert!(
+        searching >= 100 && weak >= 10,
+        "{weak} of {searching} have a weak quick stop"
+    );
 }
 
 #[test]

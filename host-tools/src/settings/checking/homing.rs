@@ -3,7 +3,8 @@
 use super::{Checks, Finding, Gravity, range_rad, round};
 use crate::axes::{AxisView, Motion, Quantity, axes};
 use crate::link::text;
-use etherpen::config::HomeSwitch;
+use etherpen::config::{Config, HomeSwitch};
+use etherpen::control::search::{search_speed_max_rad_s, way_behind_switch_rad};
 use etherpen::motion::WorkArea;
 use etherpen::robots::{JointAngles, Kinematics, MAIN_AXES};
 
@@ -20,6 +21,7 @@ pub(super) fn check(checks: &Checks<'_>, found: &mut Vec<Finding>) {
             let texts = [
                 travel(checks, &axis, &home),
                 direction(checks, &axis, &home),
+                stopping(checks, &axis),
                 height(checks, &axis, &home),
             ];
             found.extend(texts.into_iter().flatten().map(|text| Finding {
@@ -73,6 +75,43 @@ fn direction(checks: &Checks<'_>, axis: &AxisView, home: &HomeSwitch) -> Option<
             key(axis, "speed", Quantity::Speed),
             super::sync_key(axis.motion)
         )
+    })
+}
+
+/// An axis that comes to rest behind the end of its range runs against what ends it.
+fn stopping(checks: &Checks<'_>, axis: &AxisView) -> Option<String> {
+    let settings = checks.config.axes.get(axis.index)?;
+    let (way_rad, room_rad) = (
+        way_behind_switch_rad(settings),
+        room_behind_switch_rad(checks.config, axis.index)?,
+    );
+    // A switch outside the range is an error of its own.
+    if way_rad <= room_rad || room_rad < 0.0 {
+        return None;
+    }
+    let shown = |rad: f64| (rad * axis.motion.factor() * 10.0).round() / 10.0;
+    let speed = search_speed_max_rad_s(settings, room_rad) * axis.motion.factor();
+    Some(format!(
+        "axis {} ({}) comes to rest up to {} {unit} behind its switch, and its range ends {} {unit} behind it: it may run against \
+         its end; make {} {:.3} at most, move the switch, or make quick_stop_{} greater",
+        axis.index + 1,
+        axis.name,
+        shown(way_rad),
+        shown(room_rad),
+        key(axis, "speed", Quantity::Speed),
+        (speed * 1e3).floor() / 1e3,
+        axis.motion.suffix(Quantity::Acceleration),
+        unit = axis.motion.unit(Quantity::Position),
+    ))
+}
+
+/// How far the range of an axis goes on behind its home switch, rad; below 0 if the switch is outside.
+pub(crate) fn room_behind_switch_rad(config: &Config, axis: usize) -> Option<f64> {
+    let [low_rad, high_rad] = range_rad(config, axis);
+    let settings = config.axes.get(axis).filter(|axis| axis.home.io.is_some())?;
+    Some(match settings.home.speed_rad_s > 0.0 {
+        true => high_rad - settings.sync_angle_rad,
+        false => settings.sync_angle_rad - low_rad,
     })
 }
 
@@ -162,6 +201,26 @@ mod tests {
                 && found.gravity == Gravity::Warning),
             "{away:#?}"
         );
+    }
+
+    #[test]
+    fn a_search_that_ends_behind_the_range_is_a_warning_with_the_speed_that_does_not() {
+        let fast = finding("speed_mm_s = -60.0", "speed_mm_s = -120.0");
+        assert_eq!(fast.gravity, Gravity::Warning);
+        // 120 mm/s for 20 ms, and 120 mm/s squared by twice half of 10,000 mm/s2.
+        assert!(
+            fast.text.contains("up to 3.8 mm") && fast.text.contains("ends 2 mm behind it"),
+            "{fast}"
+        );
+        let weak = GANTRY.replacen("quick_stop_mm_s2 = 10000.0", "quick_stop_mm_s2 = 3000.0", 1);
+        let both = check(&weak);
+        assert_eq!(both.len(), 2, "the height's switch has room: {both:#?}");
+        let words = both[0].text.split_once("speed_mm_s ").map(|(_, rest)| rest);
+        let told = words
+            .and_then(|rest| rest.split(' ').next())
+            .expect("the speed that fits");
+        let slower = weak.replace("speed_mm_s = -60.0", &format!("speed_mm_s = -{told}"));
+        assert_eq!(check(&slower), [], "at {told} mm/s");
     }
 
     #[test]
