@@ -17,6 +17,7 @@ mod frame;
 mod graded;
 mod lines;
 mod panels;
+mod silhouette;
 mod study;
 
 use frame::Frame;

@@ -1,6 +1,7 @@
 //! Lines and tone as one drawing in each style, as dense as the time limit allows.
 
-use super::study::{MASK_SURE, Study};
+use super::silhouette::MASK_SURE;
+use super::study::Study;
 use super::{DRAW_MM_S, Drawing, Stroke, VectorizeOptions, estimate};
 use crate::drawing::edges::{Edge, Flow};
 use crate::drawing::engrave::engrave;

@@ -21,6 +21,8 @@ const STRENGTH: f32 = 0.035;
 const STRENGTH_AT_FEATURES: f32 = 0.018;
 const STRENGTH_AT_OUTLINE: f32 = 0.014;
 const STRENGTH_ON_SKIN: f32 = 0.050;
+/// The same where the subject is as light as the paper: nothing but the line shows white hair.
+const STRENGTH_AT_PALE_EDGE: f32 = 0.007;
 /// Range of light in a face, of 1, to which a flat one is stretched, and the largest stretch.
 const FACE_RANGE: f32 = 0.75;
 const FACE_GAIN_MAX: f32 = 2.2;
@@ -40,11 +42,14 @@ impl Study {
             .features
             .map(|feature| STRENGTH_ON_SKIN + (STRENGTH_AT_FEATURES - STRENGTH_ON_SKIN) * feature);
         // A step is drawn on its dark side, which may be the background's.
-        let kept = self.kept.zip(&self.outline, f32::max);
+        let kept = self.kept.zip(&self.outline, f32::max).zip(&self.pale_edge, f32::max);
         let high = high
             .mixed(&in_face, &self.skin)
             .zip(&self.outline, |high, outline| {
                 high + (STRENGTH_AT_OUTLINE - high).min(0.0) * outline
+            })
+            .zip(&self.pale_edge, |high, pale| {
+                high + (STRENGTH_AT_PALE_EDGE - high).min(0.0) * pale
             })
             .zip(&kept, |high, kept| strictness * high / (kept * kept).max(KEPT_MIN));
         let traced = edges::trace_lines(&mixed, &flow, &high, 0.45);

@@ -81,6 +81,69 @@ fn the_outline_of_a_face_is_closed_below_the_eyes_even_where_light_meets_light()
     }
 }
 
+/// The head with hair of one lightness before a wall of another.
+fn with_hair((head, subject): &(RgbImage, Subject), hair: u8, wall: u8) -> (RgbImage, Subject) {
+    let (mask, face) = (subject.mask.as_ref().expect("a mask"), subject.faces[0]);
+    let scale = mask.width() as f32 / head.width() as f32;
+    let picture = RgbImage::from_fn(head.width(), head.height(), |x, y| {
+        let inside = mask.sample(x as f32 * scale, y as f32 * scale) > 0.5;
+        let [across, down] = face.relative([x.into(), y.into()]);
+        let own = head.get_pixel(x, y).0;
+        let on = |base: u8| own.map(|value| base + (value / 12));
+        let is_hair = across.hypot((down + 0.1) / 1.15) > 1.0 && down < 1.0;
+        image::Rgb(match inside {
+            false => on(wall),
+            true if is_hair => on(hair),
+            true => own,
+        })
+    });
+    let mask = subject.mask.clone();
+    (
+        picture,
+        Subject {
+            faces: subject.faces.clone(),
+            mask,
+        },
+    )
+}
+
+#[test]
+fn light_hair_before_a_darker_wall_is_set_off_all_around() {
+    const DIRECTIONS: usize = 24;
+    for (number, head) in heads().iter().enumerate() {
+        let (picture, subject) = with_hair(head, 230, 130);
+        let mask = subject.mask.clone().expect("a mask");
+        let scale = f64::from(picture.width()) / mask.width() as f64;
+        for style in [Style::Sketch, Style::Flow, Style::Hatch, Style::Engrave] {
+            let drawn = Drawn::of(&(picture.clone(), subject.clone()), style);
+            let face = drawn.face();
+            let per_mask_px = scale * face.radius / subject.faces[0].radius;
+            // Where the subject ends in each direction from the left over the top to the right.
+            let ends = (0..DIRECTIONS).map(|number| {
+                let turn = std::f64::consts::PI * (1.0 + (number as f64 + 0.5) / DIRECTIONS as f64);
+                let (sine, cosine) = turn.sin_cos();
+                let place = |away: f64| [face.centre[0] + away * cosine, face.centre[1] + away * sine];
+                let is_inside =
+                    |at: [f64; 2]| mask.sample((at[0] / per_mask_px) as f32, (at[1] / per_mask_px) as f32) > 0.5;
+                let mut steps = (0..).map(|step| 0.02 * f64::from(step) * face.radius);
+                place(
+                    steps
+                        .find(|away| !is_inside(place(*away)) || *away > 3.0 * face.radius)
+                        .unwrap_or(0.0),
+                )
+            });
+            let reach = 0.16 * face.radius;
+            let is_met = |end: &[f64; 2]| {
+                let mut points = drawn.strokes.iter().flatten();
+                points.any(|at| (at[0] - end[0]).hypot(at[1] - end[1]) < reach)
+            };
+            let met = ends.filter(|end| is_met(end)).count();
+            println!("head {number}, {style:?}: {met} of {DIRECTIONS}");
+            assert!(met + 2 >= DIRECTIONS, "head {number}, {style:?}: {met} of {DIRECTIONS}");
+        }
+    }
+}
+
 /// Strokes side by side through a place, 16 widths of the pen long and 4 apart.
 fn side_by_side(at: [f64; 2], count: usize, pen: f64) -> Vec<Vec<[f64; 2]>> {
     let line = |number: usize| {

@@ -1,7 +1,7 @@
 //! Analysis of a photograph before it is drawn: light, faces, background, directions, required ink.
 
+use super::silhouette::{edge, kept, outline, pale_edge, squared};
 use super::{DrawingError, Frame, VectorizeOptions};
-use crate::drawing::background::{Background, is_portrait};
 use crate::drawing::edges::Flow;
 use crate::drawing::face::Face;
 use crate::drawing::focus::focus;
@@ -16,17 +16,14 @@ use image::imageops::{FilterType, resize};
 const HATCH_ANGLE_RAD: f32 = -0.8;
 /// Weight of the one direction inside a face: far more than the gradients there.
 const FACE_ANGLE_WEIGHT: f32 = 0.2;
-/// Widest distance of the background from the subject without fading, and the distance at which it fades to a third,
-/// in face radii from the nearest face.
-const FADE_FROM: f64 = 1.3;
-const FADE_OVER: f64 = 0.9;
-/// Background beside the subject of a portrait.
-const FADE_SHARE: f32 = 0.3;
-/// How sure the edge of the subject is against the rim of a face's oval.
-pub(super) const MASK_SURE: f32 = 0.6;
 /// Lightness of hair and of sure skin, of the median in the face's oval.
 const SKIN_FROM: f32 = 0.45;
 const SKIN_SURE: f32 = 0.66;
+/// Upper end of a high forehead above the centre of its face, in radii of the face.
+const FOREHEAD_ABOVE: f64 = 1.75;
+/// Differences of colour and of lightness from those of the sure skin at which a forehead beyond the oval is no skin, of 1.
+const SKIN_COLOUR: f32 = 0.04;
+const SKIN_LIGHTNESS: f32 = 0.25;
 /// Exponent from darkness to points in a face.
 const GRAIN_POWER: f32 = 1.3;
 /// Ink of the darkest shade of skin.
@@ -52,6 +49,8 @@ pub(super) struct Study {
     pub(super) features: Plane,
     /// How much a pixel belongs to the outline of a portrait: the edge of its subject, and of a face's oval.
     pub(super) outline: Plane,
+    /// How much a pixel belongs to the edge of a subject as light as the paper.
+    pub(super) pale_edge: Plane,
     /// Share of what is drawn that the background leaves, 0 to 1.
     pub(super) kept: Plane,
     /// Lightness without noise, 0 to 1.
@@ -95,14 +94,17 @@ impl Study {
             nearness(width, height, &faces)
         };
         // A face is never part of the background.
-        let kept = kept(subject, &faces, [width, height], options.background).zip(&ovals, f32::max);
-        let outline = outline(subject, &faces, &ovals);
+        let kept = kept(subject, &faces, &calm, options.background).zip(&ovals, f32::max);
+        let edge = edge(subject, &faces, [width, height], pen);
+        let outline = outline(&ovals, &edge);
         let features = features(width, height, &faces);
         let radius = faces.first().map_or(0.0, |face| face.radius);
-        let skin = skin(&calm, &ovals, &with_neck, radius);
+        let forehead = forehead(&small, &calm, &faces, &ovals);
+        let skin = skin(&calm, &ovals, &with_neck.zip(&forehead, f32::max), radius);
         let bare = skin.zip(&features, |skin, feature| skin * (1.0 - feature));
         let on_face = on_face(&light, &calm, &ovals, &features, radius);
         let ink = ink(&light, &calm, [&focus, &skin, &on_face], pen).zip(&kept, |ink, kept| ink * kept);
+        let pale_edge = pale_edge(subject, &edge, &ink, pen);
         let dark = darkness_in_faces(&calm, &ovals).map(|dark| ((dark - 0.04) / 0.96).max(0.0).powf(GRAIN_POWER));
         let grain = ink.mixed(&dark, &skin);
         let hatch_flow = Flow::of(&calm.blurred(sigma(1.0)), sigma(7.0), HATCH_ANGLE_RAD, 0.006).mixed(
@@ -119,6 +121,7 @@ impl Study {
             skin,
             features,
             outline,
+            pale_edge,
             kept,
             calm,
             ink,
@@ -145,21 +148,67 @@ fn ink(light: &Plane, calm: &Plane, [focus, skin, on_face]: [&Plane; 3], pen: f6
 
 /// How much each pixel belongs to the skin of a face or to a feature in it, not to hair: 0 to 1.
 fn skin(calm: &Plane, ovals: &Plane, with_neck: &Plane, radius: f64) -> Plane {
-    let mut inside: Vec<f32> = (calm.values().iter().zip(ovals.values()))
-        .filter(|(_, oval)| **oval > 0.7)
-        .map(|(value, _)| *value)
-        .collect();
-    if inside.is_empty() {
+    let Some(median) = median_inside(calm, ovals) else {
         return Plane::filled(calm.width(), calm.height(), 0.0);
-    }
-    let middle = inside.len() / 2;
-    let median = *inside.select_nth_unstable_by(middle, f32::total_cmp).1;
+    };
     // Wider than an eye, narrower than hair.
     let wide = calm.blurred((0.16 * radius) as f32);
     with_neck.zip(&wide, |oval, value| {
         let share = (value / median.max(0.05) - SKIN_FROM) / (SKIN_SURE - SKIN_FROM);
         oval * share.clamp(0.0, 1.0)
     })
+}
+
+/// How much each pixel belongs to a high forehead, which goes on beyond the oval of its face in the colour of the skin, 0 to 1.
+fn forehead(picture: &RgbImage, calm: &Plane, faces: &[Face], ovals: &Plane) -> Plane {
+    // Differences of colour, Rec. 601.
+    let colour = |weights: [f32; 3]| {
+        Plane::from_fn(calm.width(), calm.height(), |x, y| {
+            let parts = picture.get_pixel(x as u32, y as u32).0.map(f32::from);
+            (weights[0] * parts[0] + weights[1] * parts[1] + weights[2] * parts[2]) / 255.0
+        })
+    };
+    let radius = faces.iter().map(|face| face.radius).fold(0.0, f64::max);
+    let even = |plane: Plane| plane.blurred((0.05 * radius) as f32);
+    let planes = [
+        (even(colour([-0.169, -0.331, 0.5])), SKIN_COLOUR),
+        (even(colour([0.5, -0.419, -0.081])), SKIN_COLOUR),
+        (even(calm.clone()), SKIN_LIGHTNESS),
+    ];
+    let mut alike = Plane::from_fn(calm.width(), calm.height(), |x, y| {
+        let above = faces.iter().filter(|face| face.has_features).map(|face| {
+            let [across, down] = face.relative([x as f64, y as f64]);
+            let away = across.hypot(down / FOREHEAD_ABOVE) as f32;
+            if down < 0.0 { 1.0 / (1.0 + away.powi(10)) } else { 0.0 }
+        });
+        above.fold(0.0, f32::max)
+    });
+    // Hair is rougher than skin.
+    let rough = calm.zip(&even(calm.clone()), |value, even| (value - even).abs());
+    let rough = even(rough);
+    if let Some(skin) = median_inside(&rough, ovals) {
+        alike = alike.zip(&rough, |alike, rough| {
+            alike * (3.0 - rough / skin.max(1e-3)).clamp(0.0, 1.0)
+        });
+    }
+    for (plane, most) in planes {
+        let Some(middle) = median_inside(&plane, ovals) else {
+            continue;
+        };
+        let share = plane.map(|value| (2.0 - 2.0 * (value - middle).abs() / most).clamp(0.0, 1.0));
+        alike = alike.zip(&share, |alike, share| alike * share);
+    }
+    alike
+}
+
+/// The median of the values inside ovals.
+fn median_inside(plane: &Plane, ovals: &Plane) -> Option<f32> {
+    let mut inside: Vec<f32> = (plane.values().iter().zip(ovals.values()))
+        .filter(|(_, oval)| **oval > 0.7)
+        .map(|(value, _)| *value)
+        .collect();
+    let middle = inside.len() / 2;
+    (!inside.is_empty()).then(|| *inside.select_nth_unstable_by(middle, f32::total_cmp).1)
 }
 
 /// Ink on a face, 0 to 1: the soft shade of the skin, without folds and noise, and what is dark in the features.
@@ -177,11 +226,6 @@ fn on_face(light: &Plane, calm: &Plane, ovals: &Plane, features: &Plane, radius:
         feature * ((dark - FEATURE_FROM) / FEATURE_OVER).clamp(0.0, 1.0)
     });
     shade.zip(&dark, f32::max)
-}
-
-/// Squared length.
-fn squared([across, down]: [f64; 2]) -> f64 {
-    across * across + down * down
 }
 
 /// How near each pixel is to a face, 0 to 1.
@@ -214,56 +258,6 @@ fn features(width: usize, height: usize, faces: &[Face]) -> Plane {
             brows.into_iter().chain(others).fold(0.0, f32::max)
         });
         near.fold(0.0, f32::max)
-    })
-}
-
-/// How much each pixel belongs to the edge of a portrait's subject or to the rim of a face's oval, where jaw and cheeks end:
-/// 0 to 1.
-fn outline(subject: &Subject, faces: &[Face], ovals: &Plane) -> Plane {
-    let rim = ovals.map(at_edge);
-    let size = [rim.width(), rim.height()];
-    match subject.mask.as_ref().filter(|_| is_portrait(faces, size)) {
-        Some(mask) => rim.zip(&of_size(mask, size), |rim, inside| rim.max(MASK_SURE * at_edge(inside))),
-        None => rim,
-    }
-}
-
-/// 1 where a share is a half, 0 where it is whole or nothing.
-fn at_edge(share: f32) -> f32 {
-    4.0 * share * (1.0 - share)
-}
-
-/// A plane in another size.
-fn of_size(plane: &Plane, [width, height]: [usize; 2]) -> Plane {
-    let scale = [
-        plane.width() as f32 / width as f32,
-        plane.height() as f32 / height as f32,
-    ];
-    let place = |at: usize, k: usize| (at as f32 + 0.5) * scale[k] - 0.5;
-    Plane::from_fn(width, height, |x, y| plane.sample(place(x, 0), place(y, 1)))
-}
-
-/// Share of what is drawn that the background leaves. A scene around a small face does not fade: it is the picture.
-fn kept(subject: &Subject, faces: &[Face], [width, height]: [usize; 2], background: Background) -> Plane {
-    let is_whole = match background {
-        Background::Keep => true,
-        Background::Fade => !is_portrait(faces, [width, height]),
-        Background::None => false,
-    };
-    let Some(mask) = subject.mask.as_ref().filter(|_| !is_whole) else {
-        return Plane::filled(width, height, 1.0);
-    };
-    let mask = of_size(mask, [width, height]);
-    Plane::from_fn(width, height, |x, y| {
-        let inside = ((mask.at(x as isize, y as isize) - 0.25) / 0.5).clamp(0.0, 1.0);
-        if background == Background::None {
-            return inside;
-        }
-        let at = [x as f64, y as f64];
-        let away = faces.iter().map(|face| squared(face.relative(at)));
-        let away = away.fold(f64::INFINITY, f64::min).sqrt();
-        let outside = FADE_SHARE * (-(away - FADE_FROM).max(0.0) / FADE_OVER).exp() as f32;
-        inside + (1.0 - inside) * outside
     })
 }
 
