@@ -1,6 +1,6 @@
 //! Analysis of a photograph before it is drawn: light, faces, background, directions, required ink.
 
-use super::silhouette::{edge, kept, outline, pale_edge, squared};
+use super::silhouette::{edge, kept, of_size, outline, pale_edge, squared};
 use super::{DrawingError, Frame, VectorizeOptions};
 use crate::drawing::edges::Flow;
 use crate::drawing::face::Face;
@@ -10,7 +10,7 @@ use crate::drawing::raster::Plane;
 use crate::drawing::render::{grey, reduced};
 use crate::drawing::subject::Subject;
 use image::RgbImage;
-use image::imageops::{FilterType, resize};
+use image::imageops::{FilterType, resize, thumbnail};
 
 /// Direction of hatching where the picture has none, and inside faces, radians.
 const HATCH_ANGLE_RAD: f32 = -0.8;
@@ -24,6 +24,8 @@ const FOREHEAD_ABOVE: f64 = 1.75;
 /// Differences of colour and of lightness from those of the sure skin at which a forehead beyond the oval is no skin, of 1.
 const SKIN_COLOUR: f32 = 0.04;
 const SKIN_LIGHTNESS: f32 = 0.25;
+/// How much rougher than the sure skin hair is at least.
+const ROUGH_MAX: f32 = 3.0;
 /// Exponent from darkness to points in a face.
 const GRAIN_POWER: f32 = 1.3;
 /// Ink of the darkest shade of skin.
@@ -99,7 +101,7 @@ impl Study {
         let outline = outline(&ovals, &edge);
         let features = features(width, height, &faces);
         let radius = faces.first().map_or(0.0, |face| face.radius);
-        let forehead = forehead(&small, &calm, &faces, &ovals);
+        let forehead = forehead(&small, &faces, &ovals);
         let skin = skin(&calm, &ovals, &with_neck.zip(&forehead, f32::max), radius);
         let bare = skin.zip(&features, |skin, feature| skin * (1.0 - feature));
         let on_face = on_face(&light, &calm, &ovals, &features, radius);
@@ -160,22 +162,27 @@ fn skin(calm: &Plane, ovals: &Plane, with_neck: &Plane, radius: f64) -> Plane {
 }
 
 /// How much each pixel belongs to a high forehead, which goes on beyond the oval of its face in the colour of the skin, 0 to 1.
-fn forehead(picture: &RgbImage, calm: &Plane, faces: &[Face], ovals: &Plane) -> Plane {
-    // Differences of colour, Rec. 601.
+fn forehead(picture: &RgbImage, faces: &[Face], ovals: &Plane) -> Plane {
+    // Skin and hair are much wider than a pixel.
+    let half = thumbnail(picture, picture.width().div_ceil(2), picture.height().div_ceil(2));
+    let size = [half.width() as usize, half.height() as usize];
+    let scale = f64::from(half.width()) / f64::from(picture.width());
+    let faces: Vec<Face> = faces.iter().map(|face| face.moved([0.0, 0.0], scale)).collect();
+    let inside = of_size(ovals, size);
+    let radius = faces.iter().map(|face| face.radius).fold(0.0, f64::max);
+    let even = |plane: &Plane| plane.blurred((0.05 * radius) as f32);
     let colour = |weights: [f32; 3]| {
-        Plane::from_fn(calm.width(), calm.height(), |x, y| {
-            let parts = picture.get_pixel(x as u32, y as u32).0.map(f32::from);
+        Plane::from_fn(size[0], size[1], |x, y| {
+            let parts = half.get_pixel(x as u32, y as u32).0.map(f32::from);
             (weights[0] * parts[0] + weights[1] * parts[1] + weights[2] * parts[2]) / 255.0
         })
     };
-    let radius = faces.iter().map(|face| face.radius).fold(0.0, f64::max);
-    let even = |plane: Plane| plane.blurred((0.05 * radius) as f32);
-    let planes = [
-        (even(colour([-0.169, -0.331, 0.5])), SKIN_COLOUR),
-        (even(colour([0.5, -0.419, -0.081])), SKIN_COLOUR),
-        (even(calm.clone()), SKIN_LIGHTNESS),
-    ];
-    let mut alike = Plane::from_fn(calm.width(), calm.height(), |x, y| {
+    let light = grey(&half);
+    let even_light = even(&light);
+    // Hair is rougher than skin.
+    let rough = even(&light.zip(&even_light, |value, even| (value - even).abs()));
+    let rough_max = ROUGH_MAX * median_inside(&rough, &inside).unwrap_or_default();
+    let above = Plane::from_fn(size[0], size[1], |x, y| {
         let above = faces.iter().filter(|face| face.has_features).map(|face| {
             let [across, down] = face.relative([x as f64, y as f64]);
             let away = across.hypot(down / FOREHEAD_ABOVE) as f32;
@@ -183,22 +190,21 @@ fn forehead(picture: &RgbImage, calm: &Plane, faces: &[Face], ovals: &Plane) -> 
         });
         above.fold(0.0, f32::max)
     });
-    // Hair is rougher than skin.
-    let rough = calm.zip(&even(calm.clone()), |value, even| (value - even).abs());
-    let rough = even(rough);
-    if let Some(skin) = median_inside(&rough, ovals) {
-        alike = alike.zip(&rough, |alike, rough| {
-            alike * (3.0 - rough / skin.max(1e-3)).clamp(0.0, 1.0)
-        });
-    }
+    let mut alike = above.zip(&rough, |above, rough| {
+        above * (rough_max / rough.max(1e-3) - 1.0).clamp(0.0, 1.0)
+    });
+    // Differences of colour, Rec. 601.
+    let planes = [
+        (even(&colour([-0.169, -0.331, 0.5])), SKIN_COLOUR),
+        (even(&colour([0.5, -0.419, -0.081])), SKIN_COLOUR),
+        (even_light, SKIN_LIGHTNESS),
+    ];
     for (plane, most) in planes {
-        let Some(middle) = median_inside(&plane, ovals) else {
-            continue;
-        };
+        let middle = median_inside(&plane, &inside).unwrap_or_default();
         let share = plane.map(|value| (2.0 - 2.0 * (value - middle).abs() / most).clamp(0.0, 1.0));
         alike = alike.zip(&share, |alike, share| alike * share);
     }
-    alike
+    of_size(&alike, [ovals.width(), ovals.height()])
 }
 
 /// The median of the values inside ovals.
