@@ -255,7 +255,7 @@ mod tests {
             ("kill -KILL $$", "processor time"),
             ("kill -ABRT $$", "memory"),
             ("kill -SEGV $$", "nested"),
-            ("kill -INT $$", "ended before"),
+            ("kill -TERM $$", "ended before"),
             ("exit 101", "mistake"),
         ] {
             let cause = death(shell(script).0).expect(script);

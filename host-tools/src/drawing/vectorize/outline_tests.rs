@@ -144,6 +144,44 @@ fn light_hair_before_a_darker_wall_is_set_off_all_around() {
     }
 }
 
+#[test]
+fn a_high_forehead_is_shaded_as_the_skin_below_it() {
+    for (number, (head, subject)) in heads().iter().enumerate() {
+        let face = subject.faces[0];
+        let [x, y] = face.centre;
+        let skin = *head.get_pixel(x as u32, (y - 0.75 * face.radius) as u32);
+        let mask = subject.mask.clone().expect("a mask");
+        let scale = mask.width() as f32 / head.width() as f32;
+        let bald = RgbImage::from_fn(head.width(), head.height(), |x, y| {
+            let inside = mask.sample(x as f32 * scale, y as f32 * scale) > 0.5;
+            let [across, down] = face.relative([x.into(), y.into()]);
+            // Before a white wall the skin is no white paper by itself.
+            match (inside, across.abs() < 0.9 && down < -0.5) {
+                (true, true) => image::Rgb(skin.0.map(|value| (0.62 * f32::from(value)) as u8)),
+                (true, false) => image::Rgb(head.get_pixel(x, y).0.map(|value| (0.62 * f32::from(value)) as u8)),
+                (false, _) => image::Rgb([250; 3]),
+            }
+        });
+        let options = VectorizeOptions::default();
+        let frame = Frame::new(bald.width(), bald.height(), &options).expect("room");
+        let study = Study::of(&bald, subject, frame, &options).expect("a study");
+        let face = study.faces[0];
+        let ink_at = |down: f64| {
+            let at = [face.centre[0], face.centre[1] + down * face.radius];
+            study.ink.sample(at[0] as f32, at[1] as f32)
+        };
+        let below = ink_at(-0.9);
+        for down in [-1.2, -1.3, -1.4] {
+            let above = ink_at(down);
+            println!("head {number}, {down}: {above:.3}, {below:.3} below");
+            assert!(
+                (above - below).abs() < 0.06,
+                "head {number}, {down}: {above}, {below} below"
+            );
+        }
+    }
+}
+
 /// Strokes side by side through a place, 16 widths of the pen long and 4 apart.
 fn side_by_side(at: [f64; 2], count: usize, pen: f64) -> Vec<Vec<[f64; 2]>> {
     let line = |number: usize| {
