@@ -45,7 +45,7 @@ pub enum SearchFailure {
 }
 
 /// Deceleration with which an axis comes to rest in a search, rad/s2.
-pub const fn search_deceleration_rad_s2(axis: &Axis) -> f64 {
+const fn search_deceleration_rad_s2(axis: &Axis) -> f64 {
     axis.quick_stop_rad_s2.abs() * ACCELERATION_PART
 }
 
@@ -60,6 +60,14 @@ pub fn search_speed_max_rad_s(axis: &Axis, way_rad: f64) -> f64 {
     let deceleration_rad_s2 = search_deceleration_rad_s2(axis);
     let root_s = libm::sqrt(INPUT_S * INPUT_S + 2.0 * way_rad.max(0.0) / deceleration_rad_s2);
     deceleration_rad_s2 * (root_s - INPUT_S)
+}
+
+/// Weakest quick stop with which a search goes no farther than this behind its switch, rad/s2; `None` if the axis is farther
+/// before the switch is noticed.
+pub fn search_quick_stop_min_rad_s2(axis: &Axis, way_rad: f64) -> Option<f64> {
+    let speed_rad_s = axis.home.speed_rad_s.abs();
+    let braking_rad = way_rad - speed_rad_s * INPUT_S;
+    (braking_rad > 0.0).then(|| 0.5 * speed_rad_s * speed_rad_s / braking_rad / ACCELERATION_PART)
 }
 
 /// What an axis does.

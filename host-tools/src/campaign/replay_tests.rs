@@ -4,7 +4,7 @@ use super::generate::{Profile, episode};
 use super::machine::{DEFAULT_MACHINE, Machine};
 use super::operator::Operator;
 use super::{LIMIT_MS, prepared};
-use crate::black_box::contents::{Contents, SampleEntry};
+use crate::black_box::contents::{Contents, EventEntry, SampleEntry};
 use crate::black_box::image;
 use crate::black_box::replay::{Replay, replay};
 use crate::simulation::{self, Host, Surroundings};
@@ -115,12 +115,12 @@ fn a_fault_of_another_task_may_have_its_event_a_planner_period_later() {
             .iter()
             .find(|sample| sample.before_end_s == ended.before_end_s);
         let latched_ms = sample.expect("it is a sample").t_ms;
-        let (fault, is_recorded) = (ended.fault, ended.fault.is_some());
-        let mut told = contents
-            .events
-            .iter_mut()
-            .filter(|entry| entry.event == Some(Event::Fault(fault)));
-        let Some(told) = told.next().filter(|_| is_recorded) else {
+        let is_told = |entry: &&mut EventEntry| {
+            ended.fault.is_some()
+                && entry.event == Some(Event::Fault(ended.fault))
+                && entry.t_ms.wrapping_sub(latched_ms).wrapping_add(1) <= PERIOD_MS as u32
+        };
+        let Some(told) = contents.events.iter_mut().find(is_told) else {
             continue;
         };
         told.t_ms = latched_ms + PERIOD_MS as u32;

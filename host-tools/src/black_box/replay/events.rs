@@ -7,9 +7,9 @@ use etherpen::motion::PERIOD_MS;
 
 /// Time by which an event may come after the sample that shows its effect, or before it, ms.
 pub(super) const EVENT_MS: u32 = 6;
-/// Longest time from a sample with a new fault to the fault's event, ms: the task that writes events waits while the
-/// trajectory task plans.
-pub(super) const FAULT_EVENT_MS: u32 = PERIOD_MS as u32;
+/// Time by which the event of a fault may come after its sample, ms: the task that writes events waits while the planner runs, usually for less than its
+/// period.
+pub(super) const FAULT_EVENT_MS: u32 = EVENT_MS + PERIOD_MS as u32;
 
 /// Recorded events, oldest first.
 #[derive(Clone, Copy, Debug)]
@@ -57,7 +57,7 @@ impl Events<'_> {
             // The event may have a time one millisecond earlier.
             let after_ms = entry.t_ms.wrapping_sub(sample.t_ms).wrapping_add(1);
             match entry.event {
-                Some(Event::Fault(fault)) if after_ms <= FAULT_EVENT_MS + 1 => fault,
+                Some(Event::Fault(fault)) if after_ms <= FAULT_EVENT_MS => fault,
                 _ => None,
             }
         })

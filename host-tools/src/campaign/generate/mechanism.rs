@@ -177,35 +177,37 @@ fn search_farther(episode: &mut Episode) {
     }
 }
 
-/// Gives axes with a weak quick stop the room behind their home switches in which a search comes to rest: without it they would
-/// run against their ends, of which `etherpen config check` warns.
+/// Gives linear axes with a weak quick stop the room behind their home switches in which a search comes to rest: without it they
+/// would run against their ends, of which `etherpen config check` warns.
 pub(super) fn make_room_behind_switches(episode: &mut Episode) {
-    let Ok(config) = episode.configuration() else { return };
+    let (Ok(config), before) = (episode.configuration(), episode.config.clone()) else {
+        return;
+    };
     let Ok(Value::Table(geometry)) = Value::try_from(config.geometry) else {
         return;
     };
-    let ranges = geometry
-        .iter()
-        .filter(|(name, _)| name.contains("_range_") && !name.starts_with("turn_"));
-    for (axis, (name, range)) in ranges.enumerate() {
-        let settings = &config.axes[axis];
+    for (axis, name) in ["x_range_mm", "y_range_mm", "z_range_mm"].into_iter().enumerate() {
+        let ends = geometry.get(name).and_then(Value::as_array);
+        let ends: Option<Vec<f64>> = ends.map(|ends| ends.iter().filter_map(Value::as_float).collect());
+        let motion = motion(config.geometry.kind(), axis);
+        let (Some(&[low, high]), Motion::Linear) = (ends.as_deref(), motion) else {
+            continue;
+        };
         let Some(room_rad) = checking::room_behind_switch_rad(&config, axis) else {
             continue;
         };
-        let missing_rad = way_behind_switch_rad(settings) - room_rad;
-        let ends = range
-            .as_array()
-            .map(|ends| ends.iter().filter_map(Value::as_float).collect::<Vec<f64>>());
-        let (Some(&[low, high]), true) = (ends.as_deref(), missing_rad > 0.0) else {
-            continue;
-        };
-        let missing = (missing_rad * motion(config.geometry.kind(), axis).factor()).ceil();
+        let settings = &config.axes[axis];
+        let missing_mm = ((way_behind_switch_rad(settings) - room_rad) * motion.factor()).ceil();
         let wider = match settings.home.speed_rad_s > 0.0 {
-            true => [low, high + missing],
-            false => [low - missing, high],
+            _ if missing_mm <= 0.0 => continue,
+            true => [low, high + missing_mm],
+            false => [low - missing_mm, high],
         };
         let wider = Value::Array(wider.map(Value::Float).to_vec());
         episode.config.insert(format!("geometry.{name}"), wider);
+    }
+    if episode.configuration().is_err() {
+        episode.config = before;
     }
 }
 

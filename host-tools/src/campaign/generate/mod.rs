@@ -80,7 +80,6 @@ pub fn episode(machine: &Machine, seed: u64, profile: Profile) -> Episode {
     setup::vary(&mut episode, machine, seed, &mut chance);
     mechanism::vary(&mut episode, seed);
     seldom::handle(&mut episode, seed);
-    mechanism::make_room_behind_switches(&mut episode);
     match profile {
         Profile::Terminals if machine.chain.terminals.is_empty() => setup::with_terminals(&mut episode, machine),
         Profile::Cables => setup::with_serial_numbers(&mut episode, machine),
@@ -95,6 +94,8 @@ pub fn episode(machine: &Machine, seed: u64, profile: Profile) -> Episode {
         seldom::lone(&mut episode, machine, seed, profile);
         episode.events.sort_by_key(|event| event.at_ms);
     }
+    // Last: quick stops become weaker before.
+    mechanism::make_room_behind_switches(&mut episode);
     episode
 }
 

@@ -47,8 +47,8 @@ pub struct SourceArguments {
     /// are looked for.
     #[arg(long, value_name = "X,Y,R", value_parser = parse_focus)]
     focus: Option<Circle>,
-    /// Photographs with a face: what is drawn of the background: all (keep), less with the distance from the subject
-    /// (fade), nothing (none).
+    /// Photographs with a face: what is drawn of the background: all (keep), less with the distance from the subject,
+    /// and more where it sets off white hair (fade), nothing (none).
     #[arg(long, value_name = "HOW", default_value = "fade", value_parser = Background::NAMES)]
     background: String,
     /// Photographs: edges with hatching along the picture's flow (sketch), edges with crossed hatching over the form

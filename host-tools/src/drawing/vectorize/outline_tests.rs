@@ -1,4 +1,5 @@
-//! Faces as strokes: their outline is closed, and no hatching stands alone on their skin.
+//! Heads as strokes: the outline of a face is closed, light hair is set off, a high forehead is skin, and no hatching stands alone on
+//! skin.
 
 use super::study::Study;
 use super::*;

@@ -24,8 +24,12 @@ const FOREHEAD_ABOVE: f64 = 1.75;
 /// Differences of colour and of lightness from those of the sure skin at which a forehead beyond the oval is no skin, of 1.
 const SKIN_COLOUR: f32 = 0.04;
 const SKIN_LIGHTNESS: f32 = 0.25;
-/// How much rougher than the sure skin hair is at least.
+/// How much rougher than the median of the sure skin a forehead may be; from half of that on it counts less. Roughness is at least a
+/// picture's noise.
 const ROUGH_MAX: f32 = 3.0;
+const ROUGHNESS_MIN: f32 = 0.003;
+/// Least colour of skin in a photograph with colours, of 1.
+const COLOUR_MIN: f32 = 0.02;
 /// Exponent from darkness to points in a face.
 const GRAIN_POWER: f32 = 1.3;
 /// Ink of the darkest shade of skin.
@@ -101,7 +105,7 @@ impl Study {
         let outline = outline(&ovals, &edge);
         let features = features(width, height, &faces);
         let radius = faces.first().map_or(0.0, |face| face.radius);
-        let forehead = forehead(&small, &faces, &ovals);
+        let forehead = forehead(&small, subject, &faces, &ovals);
         let skin = skin(&calm, &ovals, &with_neck.zip(&forehead, f32::max), radius);
         let bare = skin.zip(&features, |skin, feature| skin * (1.0 - feature));
         let on_face = on_face(&light, &calm, &ovals, &features, radius);
@@ -148,21 +152,24 @@ fn ink(light: &Plane, calm: &Plane, [focus, skin, on_face]: [&Plane; 3], pen: f6
     })
 }
 
-/// How much each pixel belongs to the skin of a face or to a feature in it, not to hair: 0 to 1.
-fn skin(calm: &Plane, ovals: &Plane, with_neck: &Plane, radius: f64) -> Plane {
+/// How much each pixel belongs to the skin of a face or to a feature in it, not to hair: 0 to 1. `around` is where skin may be.
+fn skin(calm: &Plane, ovals: &Plane, around: &Plane, radius: f64) -> Plane {
     let Some(median) = median_inside(calm, ovals) else {
         return Plane::filled(calm.width(), calm.height(), 0.0);
     };
     // Wider than an eye, narrower than hair.
     let wide = calm.blurred((0.16 * radius) as f32);
-    with_neck.zip(&wide, |oval, value| {
+    around.zip(&wide, |oval, value| {
         let share = (value / median.max(0.05) - SKIN_FROM) / (SKIN_SURE - SKIN_FROM);
         oval * share.clamp(0.0, 1.0)
     })
 }
 
 /// How much each pixel belongs to a high forehead, which goes on beyond the oval of its face in the colour of the skin, 0 to 1.
-fn forehead(picture: &RgbImage, faces: &[Face], ovals: &Plane) -> Plane {
+fn forehead(picture: &RgbImage, subject: &Subject, faces: &[Face], ovals: &Plane) -> Plane {
+    if !faces.iter().any(|face| face.has_features) {
+        return ovals.map(|_| 0.0);
+    }
     // Skin and hair are much wider than a pixel.
     let half = thumbnail(picture, picture.width().div_ceil(2), picture.height().div_ceil(2));
     let size = [half.width() as usize, half.height() as usize];
@@ -181,7 +188,7 @@ fn forehead(picture: &RgbImage, faces: &[Face], ovals: &Plane) -> Plane {
     let even_light = even(&light);
     // Hair is rougher than skin.
     let rough = even(&light.zip(&even_light, |value, even| (value - even).abs()));
-    let rough_max = ROUGH_MAX * median_inside(&rough, &inside).unwrap_or_default();
+    let rough_max = (ROUGH_MAX * median_inside(&rough, &inside).unwrap_or_default()).max(ROUGHNESS_MIN);
     let above = Plane::from_fn(size[0], size[1], |x, y| {
         let above = faces.iter().filter(|face| face.has_features).map(|face| {
             let [across, down] = face.relative([x as f64, y as f64]);
@@ -191,16 +198,25 @@ fn forehead(picture: &RgbImage, faces: &[Face], ovals: &Plane) -> Plane {
         above.fold(0.0, f32::max)
     });
     let mut alike = above.zip(&rough, |above, rough| {
-        above * (rough_max / rough.max(1e-3) - 1.0).clamp(0.0, 1.0)
+        above * (rough_max / rough.max(1e-4) - 1.0).clamp(0.0, 1.0)
     });
+    if let Some(mask) = &subject.mask {
+        alike = alike.zip(&of_size(mask, size), f32::min);
+    }
     // Differences of colour, Rec. 601.
     let planes = [
         (even(&colour([-0.169, -0.331, 0.5])), SKIN_COLOUR),
         (even(&colour([0.5, -0.419, -0.081])), SKIN_COLOUR),
         (even_light, SKIN_LIGHTNESS),
     ];
-    for (plane, most) in planes {
-        let middle = median_inside(&plane, &inside).unwrap_or_default();
+    let middles = planes
+        .each_ref()
+        .map(|(plane, _)| median_inside(plane, &inside).unwrap_or_default());
+    if middles[0].hypot(middles[1]) < COLOUR_MIN {
+        // Without colours grey hair is like skin.
+        return ovals.map(|_| 0.0);
+    }
+    for ((plane, most), middle) in planes.into_iter().zip(middles) {
         let share = plane.map(|value| (2.0 - 2.0 * (value - middle).abs() / most).clamp(0.0, 1.0));
         alike = alike.zip(&share, |alike, share| alike * share);
     }

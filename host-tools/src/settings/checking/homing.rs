@@ -4,7 +4,7 @@ use super::{Checks, Finding, Gravity, range_rad, round};
 use crate::axes::{AxisView, Motion, Quantity, axes};
 use crate::link::text;
 use etherpen::config::{Config, HomeSwitch};
-use etherpen::control::search::{search_speed_max_rad_s, way_behind_switch_rad};
+use etherpen::control::search::{search_quick_stop_min_rad_s2, search_speed_max_rad_s, way_behind_switch_rad};
 use etherpen::motion::WorkArea;
 use etherpen::robots::{JointAngles, Kinematics, MAIN_AXES};
 
@@ -12,6 +12,10 @@ use etherpen::robots::{JointAngles, Kinematics, MAIN_AXES};
 const HEIGHT: usize = 2;
 /// Usual longest way to a switch, of the range.
 const TRAVEL_SHARE: f64 = 1.1;
+/// Rounding of a value that was written in other units, rad.
+const ROUNDING_RAD: f64 = 1.0e-9;
+/// Slowest search that a configuration may have, rad/s.
+const SEARCH_SPEED_MIN_RAD_S: f64 = 1.0e-3;
 
 /// Adds warnings about the axes that have a home switch.
 pub(super) fn check(checks: &Checks<'_>, found: &mut Vec<Finding>) {
@@ -81,27 +85,40 @@ fn direction(checks: &Checks<'_>, axis: &AxisView, home: &HomeSwitch) -> Option<
 /// An axis that comes to rest behind the end of its range runs against what ends it.
 fn stopping(checks: &Checks<'_>, axis: &AxisView) -> Option<String> {
     let settings = checks.config.axes.get(axis.index)?;
-    let (way_rad, room_rad) = (
-        way_behind_switch_rad(settings),
-        room_behind_switch_rad(checks.config, axis.index)?,
-    );
-    // A switch outside the range is an error of its own.
-    if way_rad <= room_rad || room_rad < 0.0 {
+    let way_rad = way_behind_switch_rad(settings);
+    let room_rad = room_behind_switch_rad(checks.config, axis.index)?.max(0.0);
+    if way_rad <= room_rad + ROUNDING_RAD {
         return None;
     }
-    let shown = |rad: f64| (rad * axis.motion.factor() * 10.0).round() / 10.0;
-    let speed = search_speed_max_rad_s(settings, room_rad) * axis.motion.factor();
+    let (factor, unit) = (axis.motion.factor(), axis.motion.unit(Quantity::Position));
+    let steps = match axis.motion {
+        Motion::Linear => 1.0e2,
+        Motion::Rotary => 1.0e4,
+    };
+    let down = |value: f64| ((value + ROUNDING_RAD) * factor * steps).floor() / steps;
+    let up = |value: f64| ((value - ROUNDING_RAD) * factor * steps).ceil() / steps;
+    let speed_rad_s = search_speed_max_rad_s(settings, room_rad);
+    let is_possible = down(speed_rad_s) > SEARCH_SPEED_MIN_RAD_S.max(settings.home.latch_rad_s) * factor;
+    let slower = is_possible.then(|| {
+        let value = down(speed_rad_s).copysign(settings.home.speed_rad_s);
+        format!("make {} {value}", key(axis, "speed", Quantity::Speed))
+    });
+    let stronger = search_quick_stop_min_rad_s2(settings, room_rad).map(|needed| {
+        format!(
+            "make quick_stop_{} {}",
+            axis.motion.suffix(Quantity::Acceleration),
+            up(needed)
+        )
+    });
+    let advice = [slower, stronger, Some("move the switch".to_owned())];
     Some(format!(
         "axis {} ({}) comes to rest up to {} {unit} behind its switch, and its range ends {} {unit} behind it: it may run against \
-         its end; make {} {:.3} at most, move the switch, or make quick_stop_{} greater",
+         its end; {}",
         axis.index + 1,
         axis.name,
-        shown(way_rad),
-        shown(room_rad),
-        key(axis, "speed", Quantity::Speed),
-        (speed * 1e3).floor() / 1e3,
-        axis.motion.suffix(Quantity::Acceleration),
-        unit = axis.motion.unit(Quantity::Position),
+        up(way_rad),
+        down(room_rad),
+        advice.into_iter().flatten().collect::<Vec<String>>().join(", or "),
     ))
 }
 
@@ -203,24 +220,43 @@ mod tests {
         );
     }
 
+    /// The values that a finding tells to write, each after its name.
+    fn told(finding: &Finding) -> Vec<(String, String)> {
+        let advice = finding.text.split("make ").skip(1);
+        let words = advice.filter_map(|advice| advice.split(", or").next()?.split_once(' '));
+        words.map(|(name, value)| (name.to_owned(), value.to_owned())).collect()
+    }
+
     #[test]
-    fn a_search_that_ends_behind_the_range_is_a_warning_with_the_speed_that_does_not() {
+    fn a_search_that_ends_behind_the_range_is_a_warning_with_the_values_that_do_not() {
         let fast = finding("speed_mm_s = -60.0", "speed_mm_s = -120.0");
         assert_eq!(fast.gravity, Gravity::Warning);
-        // 120 mm/s for 20 ms, and 120 mm/s squared by twice half of 10,000 mm/s2.
+        // 120 mm/s for 20 ms are 2.4 mm already, and 120 mm/s squared by 10,000 mm/s2.
         assert!(
-            fast.text.contains("up to 3.8 mm") && fast.text.contains("ends 2 mm behind it"),
+            fast.text.contains("up to 3.84 mm") && fast.text.contains("ends 2 mm behind it"),
             "{fast}"
         );
+        assert_eq!(told(&fast).len(), 1, "no quick stop is strong enough: {fast}");
         let weak = GANTRY.replacen("quick_stop_mm_s2 = 10000.0", "quick_stop_mm_s2 = 3000.0", 1);
         let both = check(&weak);
         assert_eq!(both.len(), 2, "the height's switch has room: {both:#?}");
-        let words = both[0].text.split_once("speed_mm_s ").map(|(_, rest)| rest);
-        let told = words
-            .and_then(|rest| rest.split(' ').next())
-            .expect("the speed that fits");
-        let slower = weak.replace("speed_mm_s = -60.0", &format!("speed_mm_s = -{told}"));
-        assert_eq!(check(&slower), [], "at {told} mm/s");
+        let told = told(&both[0]);
+        let [(_, speed), (_, quick_stop)] = &told[..] else {
+            panic!("{told:?}")
+        };
+        let slower = weak.replace("speed_mm_s = -60.0", &format!("speed_mm_s = {speed}"));
+        assert_eq!(check(&slower), [], "at {speed} mm/s");
+        let stronger = weak.replace("quick_stop_mm_s2 = 3000.0", &format!("quick_stop_mm_s2 = {quick_stop}"));
+        assert_eq!(check(&stronger), [], "at {quick_stop} mm/s2");
+    }
+
+    #[test]
+    fn a_switch_at_the_end_of_its_axis_is_moved_and_nothing_impossible_is_told() {
+        let at_the_end = finding("sync_mm = 2.0", "sync_mm = 0.0");
+        assert!(
+            at_the_end.text.ends_with("its end; move the switch") && at_the_end.text.contains("ends 0 mm"),
+            "{at_the_end}"
+        );
     }
 
     #[test]
