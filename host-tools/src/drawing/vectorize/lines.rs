@@ -21,7 +21,7 @@ const STRENGTH: f32 = 0.035;
 const STRENGTH_AT_FEATURES: f32 = 0.018;
 const STRENGTH_AT_OUTLINE: f32 = 0.014;
 const STRENGTH_ON_SKIN: f32 = 0.050;
-/// The same where the subject is as light as the paper: nothing but the line shows white hair.
+/// Least strength of lines at the edge of a subject as light as the paper: nothing but the line shows white hair.
 const STRENGTH_AT_PALE_EDGE: f32 = 0.007;
 /// Range of light in a face, of 1, to which a flat one is stretched, and the largest stretch.
 const FACE_RANGE: f32 = 0.75;
