@@ -30,7 +30,8 @@ fn kinds(episode: &Episode) -> Option<Vec<&str>> {
             | What::StopInput(_)
             | What::SubstituteClock(_)
             | What::TrajectoryWaits(_)
-            | What::PortDown(_) => return None,
+            | What::PortDown(_)
+            | What::Program(_) => return None,
         }
     }
     kinds.sort_unstable();

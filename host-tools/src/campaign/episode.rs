@@ -34,6 +34,10 @@ pub struct Episode {
     /// Wishes of the operator, carried out one after the other, again and again.
     #[serde(default)]
     pub wishes: Vec<Wish>,
+    /// Whether the drawings are drawn by the program's own jobs with their log, one after the other, and not by an operator
+    /// with wishes.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub by_jobs: bool,
     /// Drawings that wishes refer to.
     #[serde(default)]
     pub figures: Vec<Figure>,
@@ -90,6 +94,33 @@ pub enum What {
     TrajectoryWaits(u32),
     /// The Ethernet port reports no link for some milliseconds.
     PortDown(u32),
+    /// A mishap of the program that draws; only where its jobs do.
+    Program(Mishap),
+}
+
+/// A mishap of the program that draws, of its computer, or of the newest entry of its log. Places in the entry are thousandths
+/// of its length.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case", deny_unknown_fields)]
+pub enum Mishap {
+    /// The program is killed; another one is started after some milliseconds.
+    Killed(u32),
+    /// It is killed when the next entry is written up to a place; another one is started after some milliseconds.
+    KilledWriting(u32, u32),
+    /// The computer loses its supply, and the disk what was not synced; another program is started after some milliseconds.
+    PowerCut(u32),
+    /// The program does not run for some milliseconds.
+    Stands(u32),
+    /// The entry ends at a place.
+    Cut(u32),
+    /// The byte at a place has other bits.
+    Changed(u32, u8),
+    /// The entry has zeros from a place on.
+    Zeroed(u32),
+    /// The log is removed.
+    Removed,
+    /// The disk with the log is away for some milliseconds.
+    Away(u32),
 }
 
 /// How a file is used.

@@ -30,9 +30,33 @@ pub(super) fn compare(
     paper: &Paper,
     limit_mm: f64,
 ) -> Result<(), String> {
-    let lines = lines(path, paper);
+    is_whole(ink, from, path, paper, limit_mm)?;
+    let (lines, drawn) = (lines(path, paper), segments(ink, from));
+    let stood = last_before(ink, from);
+    let is_compared = |end: Point| stood.is_none_or(|stood| distance(stood, end) > limit_mm);
+    for segment in drawn.iter().filter(|segment| is_compared(segment[1])) {
+        let away_mm = nearest(segment[1], &lines);
+        if away_mm > limit_mm {
+            let point = segment[1];
+            return Err(format!("ink at {point:.2?} mm is {away_mm:.2} mm away from every line"));
+        }
+    }
+    Ok(())
+}
+
+/// Whether there is ink behind the first `from` points within `limit_mm` of the lines of a path that are drawn.
+///
+/// # Errors
+/// A line without ink.
+pub(super) fn is_whole(
+    ink: &[InkStroke],
+    from: usize,
+    path: &[PathVertex],
+    paper: &Paper,
+    limit_mm: f64,
+) -> Result<(), String> {
     let drawn = segments(ink, from);
-    for line in &lines {
+    for line in &lines(path, paper) {
         let length_mm = distance(line[0], line[1]);
         let steps = (length_mm / STEP_MM).ceil().max(1.0) as u32;
         for step in 0..=steps {
@@ -43,15 +67,6 @@ pub(super) fn compare(
                     "no ink within {limit_mm:.2} mm of {point:.2?} mm; the nearest is {away_mm:.2} mm away"
                 ));
             }
-        }
-    }
-    let stood = last_before(ink, from);
-    let is_compared = |end: Point| stood.is_none_or(|stood| distance(stood, end) > limit_mm);
-    for segment in drawn.iter().filter(|segment| is_compared(segment[1])) {
-        let away_mm = nearest(segment[1], &lines);
-        if away_mm > limit_mm {
-            let point = segment[1];
-            return Err(format!("ink at {point:.2?} mm is {away_mm:.2} mm away from every line"));
         }
     }
     Ok(())

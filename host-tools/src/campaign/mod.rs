@@ -19,6 +19,7 @@ pub mod episode;
 mod figures;
 pub mod generate;
 mod ink;
+mod jobs;
 mod judge;
 mod line;
 pub mod machine;
@@ -156,6 +157,9 @@ pub fn run(episode: &Episode) -> Run {
             Ok(prepared) => prepared,
             Err(failed) => return failed,
         };
+        if episode.by_jobs {
+            return jobs::run(episode, config, world);
+        }
         let mut operator = Operator::new(episode, config, world.clone());
         let passed_ms = with_resets(LIMIT_MS, &mut operator, |operator, begun_ms, left_ms| {
             let mut segment = begun_later(&world, begun_ms);

@@ -132,6 +132,7 @@ fn episode(seed: u64, duration_ms: u32, portrait: Figure) -> Episode {
         duration_ms,
         patience_ms: 300,
         draws: true,
+        by_jobs: false,
         wishes: vec![Wish::Draw(0)],
         figures: vec![portrait],
         config: BTreeMap::new(),

@@ -195,6 +195,7 @@ fn an_episode_is_nearly_as_fast_as_a_drawing_alone() {
         duration_ms: 60_000,
         patience_ms: 10,
         draws: false,
+        by_jobs: false,
         wishes: vec![Wish::Draw(0)],
         figures: vec![figure],
         config: BTreeMap::new(),

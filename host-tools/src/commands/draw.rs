@@ -205,6 +205,9 @@ fn draw(
         false => resume::plan(before, &known(&machine)?, config, &path)?,
         true => ResumePlan::whole(&path, begin_log(arguments, part, config, &path)),
     };
+    if !plan.notice.is_empty() {
+        eprintln!("{}", plan.notice);
+    }
     let drawing = DrawingRun::begin(&machine, config, &path, plan, &part.name);
     // From here on the robot may have drawn.
     let begun = |error: ProgramError| EarlyEnd { error, begun: true };

@@ -1,7 +1,7 @@
 //! A job log on a bad disk: whatever a file has become, a resumed drawing lacks no ink.
 
 use super::history::{HistoryEntry, Record, hash_text};
-use super::resume::{LastPart, MachineState, last, last_part_in, named_in, plan};
+use super::resume::{LastPart, MachineState, last_in, last_part_in, named_in, plan};
 use super::{path_hash, resume};
 use crate::random::Random;
 use etherpen::config::Config;
@@ -114,7 +114,7 @@ impl Log {
     }
 
     fn rest(&self) -> Option<Vec<PathVertex>> {
-        let found = last(&self.folder, &self.hash, Path::new("portrait.png")).ok()?;
+        let found = last_in(&self.folder, &self.hash, Path::new("portrait.png")).ok()?;
         let planned = plan(found, &MachineState::default(), &Config::default(), &path()).ok()?;
         Some(planned.drawing.vertices.to_vec())
     }
@@ -191,7 +191,7 @@ fn a_damaged_entry_is_told_by_its_name_and_by_the_beginning_of_it() {
 fn an_entry_that_is_damaged_is_named_and_an_older_drawing_is_not_continued_in_its_place() {
     let log = Log::new("named");
     fs::write(&log.newest, &log.whole[..log.whole.len() / 2]).expect("the entry");
-    let refused = last(&log.folder, &log.hash, Path::new("portrait.png")).unwrap_err();
+    let refused = last_in(&log.folder, &log.hash, Path::new("portrait.png")).unwrap_err();
     let name = log.newest.file_stem().expect("a name").to_string_lossy();
     assert!(
         refused.message.contains(&*name) && refused.message.contains("damaged"),
@@ -232,7 +232,7 @@ fn a_newer_entry_without_ink_hides_no_damaged_one() {
     let old = log.folder.join(format!("{}.json", newer.name()));
     let name = format!("9999999999999-{}-1.json", log.hash);
     fs::rename(&old, log.folder.join(name)).expect("the newest one");
-    let refused = last(&log.folder, &log.hash, Path::new("portrait.png")).unwrap_err();
+    let refused = last_in(&log.folder, &log.hash, Path::new("portrait.png")).unwrap_err();
     assert!(refused.message.contains("damaged"), "{}", refused.message);
 }
 
@@ -273,7 +273,7 @@ fn an_entry_of_a_program_that_wrote_no_hash_is_resumed() {
 #[test]
 fn a_log_that_is_removed_while_a_drawing_runs_is_begun_again() {
     let log = Log::new("removed");
-    let mut record = last(&log.folder, &log.hash, Path::new("portrait.png"))
+    let mut record = last_in(&log.folder, &log.hash, Path::new("portrait.png"))
         .expect("jobs")
         .remove(0);
     fs::remove_dir_all(&log.folder).expect("the log");
@@ -285,6 +285,6 @@ fn a_log_that_is_removed_while_a_drawing_runs_is_begun_again() {
     fs::remove_dir_all(&log.folder).expect("the log");
     fs::write(&log.folder, b"").expect("a file in its place");
     assert!(record.save().is_err() && record.save_unsynced().is_err());
-    assert!(last(&log.folder, &log.hash, Path::new("portrait.png")).is_err());
+    assert!(last_in(&log.folder, &log.hash, Path::new("portrait.png")).is_err());
     fs::remove_file(&log.folder).expect("the file");
 }

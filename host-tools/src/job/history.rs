@@ -2,7 +2,8 @@
 //! resumed.
 //!
 //! Under `$XDG_STATE_HOME/etherpen/jobs` (`~/.local/state/etherpen/jobs`). A file is replaced as a whole or not at all.
-//! Its beginning and its end are synced; the progress in between is not, so a slow disk causes no delay. Its last line has a
+//! Its beginning, the moment before its first ink and its end are synced; the progress in between is not, so a slow disk causes no
+//! delay. Its last line has a
 //! hash of the lines before it: a damaged number would let a drawing go on at another place.
 //!
 //! Invariants: `executed` never exceeds what the firmware has reported; a file with a damaged byte, or a part of one, is not read
@@ -73,6 +74,14 @@ pub struct HistoryEntry {
 }
 
 impl HistoryEntry {
+    /// Whether it may have drawn anything. A power cut may leave the entry as it was when the board began to draw: then it names
+    /// the board, and has no result.
+    #[must_use]
+    pub fn may_have_ink(&self) -> bool {
+        let is_cut_off = self.result.is_none() && !self.board.is_empty();
+        self.completed || self.strokes > 0 || is_cut_off
+    }
+
     /// Takes the progress along the complete path.
     pub fn progress(&mut self, progress: &Progress) {
         let [executed, complete] =

@@ -17,6 +17,7 @@ pub mod error;
 mod events;
 pub mod history;
 pub mod ink;
+pub mod logged;
 pub mod over_port;
 mod phases;
 pub mod progress;

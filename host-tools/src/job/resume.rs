@@ -35,6 +35,8 @@ pub struct ResumePlan {
     pub record: Option<Record>,
     /// Time drawn earlier, s.
     pub drawn_before_s: f64,
+    /// From where it goes on, in words; empty for the complete path.
+    pub notice: String,
     /// The remainder that is drawn, and the vertices executed before; `None` for the complete path.
     part: Option<(Remainder, usize)>,
 }
@@ -46,6 +48,7 @@ impl ResumePlan {
             drawing: DrawTask::new(path),
             record,
             drawn_before_s: 0.0,
+            notice: String::new(),
             part: None,
         }
     }
@@ -70,6 +73,21 @@ pub fn begin_record(
     config: &Config,
     path: &[PathVertex],
 ) -> io::Result<Record> {
+    begin_record_in(&history::folder()?, file, options, port, config, path)
+}
+
+/// Creates the entry of a drawing in a log.
+///
+/// # Errors
+/// As for [`begin_record`].
+pub fn begin_record_in(
+    folder: &Path,
+    file: &Path,
+    options: &impl Serialize,
+    port: &PortName,
+    config: &Config,
+    path: &[PathVertex],
+) -> io::Result<Record> {
     let total = PathMeasure::new(path, config).progress(0, 0, 0.0);
     let entry = HistoryEntry {
         file: std::fs::canonicalize(file).unwrap_or_else(|_| file.to_owned()),
@@ -82,7 +100,7 @@ pub fn begin_record(
         strokes_total: total.strokes_total,
         ..HistoryEntry::default()
     };
-    Record::begin(&history::folder()?, entry)
+    Record::begin(folder, entry)
 }
 
 /// What to resume.
@@ -123,7 +141,7 @@ impl Resumption {
     /// There is none.
     pub fn candidates(&self, hash: &str, file: &Path) -> Result<Vec<Record>, ProgramError> {
         match self {
-            Self::Last(_) => last(&history::folder().map_err(unreadable)?, hash, file),
+            Self::Last(_) => last_in(&history::folder().map_err(unreadable)?, hash, file),
             Self::Job(record) if record.entry.path_hash != hash => Err(other_path(file, record, hash)),
             Self::Job(record) if record.entry.completed => Err(complete(&record.name())),
             Self::Job(record) => Ok(vec![Record::clone(record)]),
@@ -139,7 +157,7 @@ fn unreadable(cause: io::Error) -> ProgramError {
 ///
 /// # Errors
 /// There is none, or one behind it is damaged: nobody knows what that one has drawn, and on which sheet.
-pub(super) fn last(folder: &Path, hash: &str, file: &Path) -> Result<Vec<Record>, ProgramError> {
+pub fn last_in(folder: &Path, hash: &str, file: &Path) -> Result<Vec<Record>, ProgramError> {
     let records = history::list(folder).map_err(unreadable)?;
     let damaged = history::newest_damaged(folder, hash).map_err(unreadable)?;
     let found = candidates(&records, hash, file);
@@ -231,9 +249,9 @@ pub(super) fn last_part_in(folder: &Path, hashes: &[String], file: &Path) -> Res
     part_left(&records, hashes, file)
 }
 
-/// Whether a job has drawn anything.
+/// Whether a job may have drawn anything.
 fn has_ink(record: &Record) -> bool {
-    record.entry.completed || record.entry.strokes > 0
+    record.entry.may_have_ink()
 }
 
 fn part_left(records: &[Record], hashes: &[String], file: &Path) -> Result<LastPart, ProgramError> {
@@ -275,7 +293,7 @@ fn candidates(records: &[Record], hash: &str, file: &Path) -> Result<Vec<Record>
         .collect();
     let drawn = of_path
         .iter()
-        .position(|record| record.entry.completed || record.entry.strokes > 0);
+        .position(|record| has_ink(record));
     let (without_ink, with_ink) = of_path.split_at(drawn.unwrap_or(of_path.len()));
     match with_ink.first() {
         Some(newest) if newest.entry.completed && without_ink.is_empty() => {
@@ -371,7 +389,7 @@ fn from_firmware(
     let vertices = given
         .as_ref()
         .map_or(path, |(remainder, _)| remainder.vertices.as_slice());
-    eprintln!(
+    let notice = format!(
         "the firmware still holds this drawing, {} of {} vertices executed: going on exactly there",
         ack.executed,
         vertices.len()
@@ -384,6 +402,7 @@ fn from_firmware(
     Ok(ResumePlan {
         drawing,
         drawn_before_s: entry.drawn_s,
+        notice,
         part: given,
         record: Some(record),
     })
@@ -403,7 +422,7 @@ fn from_log(mut record: Record, config: &Config, path: &[PathVertex]) -> Result<
         let text = "all strokes of this drawing were drawn; nothing is left to draw";
         return Err(ProgramError::new(code::INPUT, text));
     };
-    eprintln!(
+    let mut notice = format!(
         "the firmware no longer holds this drawing: continuing from the log at stroke {} of {}, from the last \
          corner that the log knows; what was drawn beyond it, and {:.0} mm before it, are drawn again",
         next.stroke.saturating_add(1),
@@ -411,7 +430,7 @@ fn from_log(mut record: Record, config: &Config, path: &[PathVertex]) -> Result<
         OVERLAP_UM / 1_000.0
     );
     if let Err(changed) = check_config(&record, config) {
-        eprintln!("{changed}: the rest may not meet the ink exactly");
+        notice = format!("{notice}\n{changed}: the rest may not meet the ink exactly");
         record.entry.config_hash = config_hash(config);
     }
     record.entry.given_from = executed;
@@ -419,6 +438,7 @@ fn from_log(mut record: Record, config: &Config, path: &[PathVertex]) -> Result<
     if executed == 0 {
         return Ok(ResumePlan {
             drawn_before_s,
+            notice,
             ..ResumePlan::whole(path, Some(record))
         });
     }
@@ -428,6 +448,7 @@ fn from_log(mut record: Record, config: &Config, path: &[PathVertex]) -> Result<
             ..DrawTask::new(remainder.vertices.clone())
         },
         drawn_before_s,
+        notice,
         part: Some((remainder, executed as usize)),
         record: Some(record),
     })

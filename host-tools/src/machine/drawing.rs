@@ -6,7 +6,8 @@
 use super::{DrawOrder, Failure, Machine, News, NoNews, Order, Subscription};
 use crate::error::ProgramError;
 use crate::job::error::Phase;
-use crate::job::progress::{PathMeasure, Progress};
+use crate::job::logged::Logged;
+use crate::job::progress::Progress;
 use crate::job::resume::ResumePlan;
 use crate::job::{JobEvent, JobReport};
 use etherpen::application::Mode;
@@ -19,8 +20,6 @@ use std::time::{Duration, Instant};
 
 /// Most news queued while files are written; telemetry makes several hundred a second.
 const NEWS_MAX: usize = 10_000;
-/// Time between two updates of the log.
-const LOG: Duration = Duration::from_millis(200);
 
 /// How a drawing ended.
 pub struct DrawingEnd {
@@ -50,37 +49,34 @@ pub struct DrawingRun<'a> {
     machine: &'a Machine,
     news: Subscription,
     answer: Receiver<super::Answer>,
-    measure: PathMeasure,
-    plan: ResumePlan,
+    logged: Logged,
+    /// When it was ordered.
+    since: Instant,
     begun: bool,
     lost: bool,
-    logged: Instant,
 }
 
 impl<'a> DrawingRun<'a> {
     /// Orders the drawing of `plan`, which is `path` or its remainder, and creates its log entry.
-    pub fn begin(machine: &'a Machine, config: &Config, path: &[PathVertex], mut plan: ResumePlan, name: &str) -> Self {
+    pub fn begin(machine: &'a Machine, config: &Config, path: &[PathVertex], plan: ResumePlan, name: &str) -> Self {
         let news = machine.subscribe(NEWS_MAX);
         let order = Order::Draw(DrawOrder {
             drawing: plan.drawing.clone(),
             name: name.to_owned(),
             keep_samples: true,
         });
-        if let Some(record) = &mut plan.record {
-            record.entry.number = plan.drawing.number;
-            record.entry.result = None;
-            // A drawing does not need its log entry: draw even if the log cannot be written.
-            let _ = record.save();
+        let mut logged = Logged::begin(config, path, plan);
+        if let Some(welcome) = &machine.snapshot().welcome {
+            logged.connected(welcome);
         }
         Self {
             machine,
             news,
             answer: machine.order(order),
-            measure: PathMeasure::new(path, config),
-            plan,
+            logged,
+            since: Instant::now(),
             begun: false,
             lost: false,
-            logged: Instant::now(),
         }
     }
 
@@ -106,18 +102,19 @@ impl<'a> DrawingRun<'a> {
     fn take(&mut self, news: News) -> Option<DrawingNews> {
         match news {
             News::Job(event) => {
-                self.begun |= event == JobEvent::Phase(Phase::Drawing);
+                if event == JobEvent::Phase(Phase::Drawing) {
+                    self.begun = true;
+                    self.logged.draws();
+                }
                 Some(DrawingNews::Event(event))
             }
             News::Connected(welcome) => {
-                if let Some(record) = &mut self.plan.record {
-                    record.entry.board = format!("{} {}", welcome.board, welcome.firmware);
-                }
+                self.logged.connected(&welcome);
                 Some(DrawingNews::Event(JobEvent::Connected(welcome)))
             }
             News::Progress(progress) => {
-                let whole = self.whole(&progress);
-                self.log(&whole);
+                let whole = self.logged.whole(&progress);
+                self.logged.advance(&whole, self.since.elapsed());
                 Some(DrawingNews::Progress(whole))
             }
             News::Status(status) if self.lost && status.mode == Mode::Holding => {
@@ -174,53 +171,12 @@ impl<'a> DrawingRun<'a> {
         drop(self.machine.order(order));
     }
 
-    /// Progress along the complete path, from the progress of the part sent to the firmware.
-    fn whole(&self, progress: &Progress) -> Progress {
-        let executed = self.plan.executed(progress.vertices);
-        let before = self.plan.executed(0);
-        let number = |vertices: usize| u32::try_from(vertices).unwrap_or(u32::MAX);
-        let whole = Progress {
-            left_s: progress.left_s,
-            ..self
-                .measure
-                .progress(number(before), number(executed), progress.elapsed_s)
-        };
-        whole.complete_to(
-            progress
-                .missing_from()
-                .map(|missing_from| self.plan.executed(missing_from)),
-        )
-    }
-
-    fn log(&mut self, progress: &Progress) {
-        let Some(record) = &mut self.plan.record else { return };
-        record.entry.progress(progress);
-        record.entry.drawn_s = self.plan.drawn_before_s + progress.elapsed_s;
-        if self.logged.elapsed() >= LOG {
-            self.logged = Instant::now();
-            // A log that can no longer be written does not end the drawing.
-            let _ = record.save_unsynced();
-        }
-    }
-
     /// Writes the end of the drawing to the job log.
     ///
     /// # Errors
     /// The log cannot be written.
     pub fn log_end(&mut self, end: &DrawingEnd) -> io::Result<()> {
-        let whole = self.whole(&end.report.progress);
-        let Some(record) = &mut self.plan.record else {
-            return Ok(());
-        };
-        record.entry.completed = end.result.is_ok();
-        record.entry.result = Some(match &end.result {
-            Ok(()) => "drawn".to_owned(),
-            Err(failure) => failure.text.clone(),
-        });
-        if end.report.progress.vertices_total > 0 {
-            record.entry.progress(&whole);
-        }
-        record.entry.drawn_s = self.plan.drawn_before_s + end.report.drawn_s;
-        record.save()
+        let result = end.result.as_ref().map(|_| ()).map_err(|failure| failure.text.as_str());
+        self.logged.end(result, &end.report)
     }
 }

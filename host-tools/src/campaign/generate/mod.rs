@@ -1,10 +1,11 @@
 //! Makes episodes from seeds: `setup` chooses the machine, `mechanism` its dimensions, gears and encoders, `orders` what the
-//! operator wants, `seldom` what hardly ever happens by itself.
+//! operator wants, `seldom` what hardly ever happens by itself, `mishaps` what befalls the program's own jobs and their log.
 //!
 //! A seed and a profile always give the same episode. Lengths, speeds and times are spread over scales, not over ranges,
 //! so that small values are as likely as large ones.
 
 mod mechanism;
+mod mishaps;
 mod orders;
 mod seldom;
 mod setup;
@@ -40,6 +41,8 @@ pub enum Profile {
     Terminals,
     /// Drives at each other's places, told apart by their serial numbers, and outputs that are lost on their way.
     Cables,
+    /// The program that draws, its computer and its log of jobs.
+    Files,
 }
 
 /// Longest time of an episode before everything is healed, ms.
@@ -72,11 +75,17 @@ pub fn episode(machine: &Machine, seed: u64, profile: Profile) -> Episode {
         duration_ms,
         patience_ms: chance.scaled(10.0, 1_000.0) as u32,
         draws: true,
+        by_jobs: profile == Profile::Files,
         wishes,
         figures,
         config: setup::configuration(&mut chance, machine),
         events: Vec::new(),
     };
+    if profile == Profile::Files {
+        mishaps::befall(&mut episode, &machine.config.motion, seed);
+        mechanism::vary(&mut episode, seed);
+        return episode;
+    }
     setup::vary(&mut episode, machine, seed, &mut chance);
     mechanism::vary(&mut episode, seed);
     seldom::handle(&mut episode, seed);
@@ -217,7 +226,7 @@ pub(super) fn what(chance: &mut Chance, machine: &Machine, profile: Profile) -> 
             2 => What::PortDown(chance.milliseconds(2_000)),
             _ => What::StopInput(chance.milliseconds(2_000)),
         },
-        Profile::Operator | Profile::All | Profile::Quiet if chance.one_in(2) => What::Beside(command(chance, machine)),
-        Profile::Operator | Profile::All | Profile::Quiet => What::Command(command(chance, machine)),
+        Profile::Operator | Profile::Files | Profile::All | Profile::Quiet if chance.one_in(2) => What::Beside(command(chance, machine)),
+        Profile::Operator | Profile::Files | Profile::All | Profile::Quiet => What::Command(command(chance, machine)),
     }
 }

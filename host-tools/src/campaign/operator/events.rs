@@ -61,6 +61,8 @@ impl Operator<'_> {
                 self.board.port_until_ms = until(*duration_ms);
                 self.judge.disturbed(self.now_ms, Some((*duration_ms).into()));
             }
+            // This operator's program has no log.
+            What::Program(_) => {}
         }
     }
 

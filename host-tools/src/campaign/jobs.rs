@@ -1,0 +1,439 @@
+//! Episodes in which the program's own jobs draw: the program is killed, its computer loses its supply, its log is damaged, and
+//! somebody goes on with `--resume`, or from the beginning on a new sheet where the program says so.
+//!
+//! The judge is the sheet: a drawing of which the program says that it is drawn has ink on all of its lines.
+
+mod log;
+
+use super::episode::{Episode, Event, Mishap, What};
+use super::ink;
+use super::judge::ink_limit_mm;
+use super::line::Line;
+use super::world::World;
+use super::{Failure, LIMIT_MS, Rule, Run};
+use crate::error::ProgramError;
+use crate::job::error::Phase;
+use crate::job::history::hash_text;
+use crate::job::logged::{Logged, Written};
+use crate::job::resume::{self, MachineState, ResumePlan, begin_record_in, last_in};
+use crate::job::{Job, JobEvent, JobOptions, Task, path_hash};
+use crate::link::port::PortName;
+use crate::drawing::preparation::wire::from_wire;
+use crate::planning::planned_s;
+use crate::simulation::{self, Host, Surroundings};
+use etherpen::config::Config;
+use etherpen::messages::PathVertex;
+use log::Log;
+use std::path::Path;
+use std::time::Duration;
+
+/// Longest wait for the state of a path that the firmware holds, ms.
+const PATH_MAX_MS: u32 = 500;
+/// Time between two looks at the progress, ms.
+const PROGRESS_MS: u32 = 100;
+/// Longest time from the healing until the present drawing is drawn, without the drawing itself, ms.
+const LIVENESS_MAX_MS: u32 = 60_000;
+/// How often a drawing may be begun anew behind the healing, by its duration.
+const BEGINNINGS: f64 = 3.0;
+/// The file that is drawn; it is never opened.
+const FILE: &str = "figure.svg";
+
+/// What the program does.
+enum Doing {
+    /// It does not run; another one is started at a time, ms.
+    Nothing { until_ms: u32 },
+    /// It asks for the state of the machine, which it has known since a time, ms.
+    Looking { known_ms: Option<u32> },
+    /// It draws.
+    Drawing { logged: Logged },
+    /// It ends what the machine still does.
+    Resting,
+}
+
+/// What a person does next.
+enum Next {
+    /// Draws what is left.
+    Resume(Box<ResumePlan>),
+    /// Draws from the beginning, on a new sheet.
+    Anew,
+    /// Ends what the machine holds.
+    Cancel,
+    /// Tries again later.
+    Wait,
+    /// The program says that everything is drawn.
+    Believe,
+}
+
+/// The person, the program and the log.
+struct Desk<'e> {
+    episode: &'e Episode,
+    config: Config,
+    world: World,
+    /// The paths that are drawn one after the other, and the number of the present one.
+    paths: Vec<Vec<PathVertex>>,
+    number: usize,
+    log: Log,
+    up: Line,
+    down: Line,
+    job: Option<Job>,
+    /// When the job began, ms.
+    since_ms: u32,
+    connections: u32,
+    doing: Doing,
+    stands_until_ms: u32,
+    away_until_ms: u32,
+    stop_until_ms: u32,
+    /// Whether a quick stop, which may leave the path, was on this sheet.
+    was_stopped: bool,
+    /// Points of ink on earlier sheets.
+    inked: usize,
+    /// Whether anything was drawn on this sheet; then a person resumes.
+    has_begun: bool,
+    next_event: usize,
+    /// The time at which everything is over at the latest, ms; known once everything is healed.
+    over_ms: Option<u32>,
+    now_ms: u32,
+    is_over: bool,
+    failure: Option<Failure>,
+}
+
+/// Runs an episode.
+pub(super) fn run(episode: &Episode, config: Config, world: World) -> Run {
+    let log = match Log::new() {
+        Ok(log) => log,
+        Err(cause) => return Run::failed(Rule::Episode, format!("the log cannot be written: {cause}")),
+    };
+    let mut desk = Desk::new(episode, config, world.clone(), log);
+    let mut segment = world;
+    let passed_ms = simulation::run(&mut segment, &mut desk, LIMIT_MS);
+    Run {
+        passed_ms,
+        resets: 0,
+        failure: desk.failure,
+    }
+}
+
+impl<'e> Desk<'e> {
+    fn new(episode: &'e Episode, config: Config, world: World, log: Log) -> Self {
+        let mut paths: Vec<_> = episode.figures.iter().map(|figure| figure.path(&config)).collect();
+        paths.retain(|path| !path.is_empty());
+        Self {
+            episode,
+            config,
+            world,
+            is_over: paths.is_empty(),
+            paths,
+            number: 0,
+            log,
+            up: Line::new(episode.seed),
+            down: Line::new(!episode.seed),
+            job: None,
+            since_ms: 0,
+            connections: 0,
+            doing: Doing::Nothing { until_ms: 0 },
+            stands_until_ms: 0,
+            away_until_ms: 0,
+            stop_until_ms: 0,
+            was_stopped: false,
+            inked: 0,
+            has_begun: false,
+            next_event: 0,
+            over_ms: None,
+            now_ms: 0,
+            failure: None,
+        }
+    }
+
+    fn fail(&mut self, rule: Rule, text: String) {
+        let time_ms = self.now_ms;
+        self.failure.get_or_insert(Failure { time_ms, rule, text });
+        self.is_over = true;
+    }
+
+    /// Fails if the log's folder, which is this program's, cannot be used.
+    fn on_disk(&mut self, result: std::io::Result<()>) {
+        if let Err(cause) = result {
+            self.fail(Rule::Episode, format!("the log: {cause}"));
+        }
+    }
+
+    fn happen(&mut self, event: &Event) {
+        let until = |ms: u32| event.at_ms.saturating_add(ms);
+        match &event.what {
+            What::Unplug(ms) => {
+                self.up.unplug(until(*ms));
+                self.down.unplug(until(*ms));
+            }
+            What::Noise(ms, per_mille) => {
+                self.up.disturb(until(*ms), *per_mille);
+                self.down.disturb(until(*ms), *per_mille);
+            }
+            What::StopInput(ms) => self.stop_until_ms = until(*ms),
+            What::Program(mishap) => self.suffer(mishap, event.at_ms),
+            _ => {}
+        }
+    }
+
+    fn suffer(&mut self, mishap: &Mishap, at_ms: u32) {
+        let is_away = self.now_ms < self.away_until_ms;
+        if !is_away || matches!(mishap, Mishap::Away(_)) {
+            let suffered = self.log.suffer(mishap);
+            self.on_disk(suffered);
+        }
+        match *mishap {
+            Mishap::Killed(ms) | Mishap::KilledWriting(_, ms) | Mishap::PowerCut(ms) => {
+                self.leave(at_ms.saturating_add(ms));
+            }
+            Mishap::Stands(ms) => self.stands_until_ms = at_ms.saturating_add(ms),
+            Mishap::Away(ms) => self.away_until_ms = self.away_until_ms.max(at_ms.saturating_add(ms)),
+            Mishap::Cut(_) | Mishap::Changed(..) | Mishap::Zeroed(_) | Mishap::Removed => {}
+        }
+    }
+
+    /// The program is gone until a time, ms.
+    fn leave(&mut self, until_ms: u32) {
+        self.job = None;
+        self.doing = Doing::Nothing { until_ms };
+    }
+
+    /// Tries again after a pause.
+    fn pause(&mut self) {
+        self.leave(self.now_ms.saturating_add(self.episode.patience_ms));
+    }
+
+    fn heal(&mut self) {
+        self.over_ms = Some(self.latest_ms());
+        (self.stop_until_ms, self.stands_until_ms, self.away_until_ms) = (0, 0, 0);
+        self.up.heal();
+        self.down.heal();
+    }
+
+    /// Starts the program.
+    fn start(&mut self) {
+        self.connections += 1;
+        let options = JobOptions {
+            session: self.connections,
+            acknowledge: true,
+            ..JobOptions::default()
+        };
+        self.job = Some(Job::new(self.config.clone(), Task::Look, options));
+        self.since_ms = self.now_ms;
+        self.doing = Doing::Looking { known_ms: None };
+    }
+
+    /// What is to be done with a machine whose state the program knows.
+    fn decide(&self) -> Result<Next, String> {
+        if !self.has_begun {
+            return Ok(Next::Anew);
+        }
+        let Some(job) = &self.job else { return Ok(Next::Wait) };
+        let machine = MachineState {
+            welcome: job.welcome().cloned(),
+            status: job.status().cloned(),
+            path: job.held_path().copied(),
+        };
+        let hash = hash_text(path_hash(self.path()));
+        let found = last_in(&self.log.folder(), &hash, Path::new(FILE));
+        match found.and_then(|found| resume::plan(found, &machine, &self.config, self.path())) {
+            Ok(plan) => Ok(Next::Resume(Box::new(plan))),
+            Err(said) => understood(&said),
+        }
+    }
+
+    fn act(&mut self, next: Next) {
+        match next {
+            Next::Resume(plan) => self.draw(*plan),
+            Next::Anew => {
+                self.new_sheet();
+                let port = PortName::Serial("/dev/ttyACM0".into());
+                let file = Path::new(FILE);
+                // Without a log the drawing is drawn all the same.
+                let record = begin_record_in(&self.log.folder(), file, &(), &port, &self.config, self.path()).ok();
+                self.draw(ResumePlan::whole(self.path(), record));
+            }
+            Next::Cancel => {
+                if let Some(job) = &mut self.job {
+                    job.begin(Task::Rest);
+                }
+                self.doing = Doing::Resting;
+            }
+            Next::Wait => self.pause(),
+            // An earlier copy is meant.
+            Next::Believe if self.points() == self.inked => self.act(Next::Anew),
+            Next::Believe => self.believe("nothing is left to draw"),
+        }
+    }
+
+    /// The present drawing.
+    fn path(&self) -> &[PathVertex] {
+        self.paths.get(self.number).map_or(&[], Vec::as_slice)
+    }
+
+    /// Points of ink on all sheets.
+    fn points(&self) -> usize {
+        self.world.look(|cell, _| ink::points(cell.ink()))
+    }
+
+    fn new_sheet(&mut self) {
+        self.inked = self.points();
+        (self.was_stopped, self.has_begun) = (self.stop_shows_open(), true);
+    }
+
+    fn draw(&mut self, plan: ResumePlan) {
+        let mut logged = Logged::begin(&self.config, self.path(), plan);
+        self.log.is_synced();
+        if let Some(job) = &mut self.job {
+            if let Some(welcome) = job.welcome() {
+                logged.connected(&welcome.clone());
+            }
+            job.begin(Task::Draw(logged.plan().drawing.clone()));
+        }
+        self.doing = Doing::Drawing { logged };
+    }
+
+    /// The program says that the drawing is drawn.
+    fn believe(&mut self, said: &str) {
+        let (inked, limit_mm, paper) = (self.inked, ink_limit_mm(&self.config), self.config.paper);
+        let compare = if self.was_stopped { ink::is_whole } else { ink::compare };
+        let path = self.path();
+        let verdict = self
+            .world
+            .look(|cell, _| compare(cell.ink(), inked, path, &paper, limit_mm));
+        if let Err(text) = verdict {
+            return self.fail(Rule::Ink, format!("the program says: {said}; {text}"));
+        }
+        if self.over_ms.is_none() {
+            self.number = (self.number + 1) % self.paths.len();
+            self.has_begun = false;
+            return self.pause();
+        }
+        if !self.log.has_the_other() {
+            return self.fail(Rule::Ink, "the log has lost another drawing".to_owned());
+        }
+        self.is_over = true;
+    }
+
+    fn stop_shows_open(&self) -> bool {
+        self.now_ms < self.stop_until_ms
+    }
+
+    /// Goes on with what the program does, after its job's step.
+    fn go_on(&mut self) {
+        let Some(job) = &mut self.job else { return };
+        let outcome = job.outcome().copied();
+        let lost = job.broken().is_some();
+        match &mut self.doing {
+            Doing::Nothing { .. } => {}
+            Doing::Looking { .. } | Doing::Resting if lost => self.pause(),
+            Doing::Looking { known_ms } => {
+                if outcome.is_none() {
+                    return;
+                }
+                let known_ms = *known_ms.get_or_insert(self.now_ms);
+                if job.held_path().is_none() && self.now_ms < known_ms + PATH_MAX_MS {
+                    return;
+                }
+                match self.decide() {
+                    Ok(next) => self.act(next),
+                    Err(text) => self.fail(Rule::Episode, text),
+                }
+            }
+            Doing::Resting if outcome.is_some() => self.pause(),
+            Doing::Resting => {}
+            Doing::Drawing { logged } => {
+                while let Some(event) = job.next_event() {
+                    if event == JobEvent::Phase(Phase::Drawing) && logged.draws() == Some(Written::Synced) {
+                        self.log.is_synced();
+                    }
+                }
+                let Some(outcome) = outcome else {
+                    let since_ms = self.now_ms - self.since_ms;
+                    if since_ms.is_multiple_of(PROGRESS_MS) {
+                        let whole = logged.whole(&job.progress());
+                        let written = logged.advance(&whole, Duration::from_millis(since_ms.into()));
+                        if written == Some(Written::Synced) {
+                            self.log.is_synced();
+                        }
+                    }
+                    return;
+                };
+                let text = outcome.map_err(|error| error.to_string());
+                let said = text.as_ref().map(|&()| ()).map_err(String::as_str);
+                // Where the log cannot be written, the program says so; the drawing stays as it is.
+                if logged.end(said, &job.take_report()).is_ok() {
+                    self.log.is_synced();
+                }
+                match outcome {
+                    Ok(()) => self.believe("drawn"),
+                    Err(_) => self.pause(),
+                }
+            }
+        }
+    }
+
+    /// The time at which the present drawing is over at the latest if nothing disturbs it any more, ms.
+    fn latest_ms(&self) -> u32 {
+        let path: Vec<_> = self.path().iter().map(from_wire).collect();
+        let drawing_ms = BEGINNINGS * 1e3 * planned_s(&self.config, &path);
+        self.episode.duration_ms.saturating_add(LIVENESS_MAX_MS).saturating_add(drawing_ms as u32)
+    }
+}
+
+/// What a person does who reads why the program does not resume.
+fn understood(said: &ProgramError) -> Result<Next, String> {
+    let says = |words: &str| said.message.contains(words);
+    match () {
+        () if says("is damaged") || says("knows no unfinished drawing") => Ok(Next::Anew),
+        () if says("nothing is left to draw") => Ok(Next::Believe),
+        () if says("etherpen cancel") => Ok(Next::Cancel),
+        () if says("the log of jobs cannot be read") => Ok(Next::Wait),
+        () => Err(format!("nobody knows what to do: {}", said.message)),
+    }
+}
+
+impl Host for Desk<'_> {
+    fn exchange(&mut self, ms: u32, from_firmware: &[u8], to_firmware: &mut Vec<u8>, room: usize) {
+        self.now_ms = ms;
+        while let Some(event) = self.episode.events.get(self.next_event).filter(|event| event.at_ms <= ms) {
+            self.next_event += 1;
+            self.happen(event);
+        }
+        if self.over_ms.is_none() && ms >= self.episode.duration_ms {
+            self.heal();
+        }
+        if ms >= self.away_until_ms {
+            let back = self.log.come_back();
+            self.on_disk(back);
+        }
+        self.was_stopped |= self.stop_shows_open();
+        if let Doing::Nothing { until_ms } = self.doing
+            && ms >= until_ms
+        {
+            self.start();
+        }
+        if ms >= self.stands_until_ms
+            && let Some(job) = &mut self.job
+        {
+            let mut arrived = from_firmware.to_vec();
+            self.up.carry(ms, &mut arrived);
+            job.step(u64::from(ms - self.since_ms), &arrived, to_firmware, room);
+            self.down.carry(ms, to_firmware);
+            self.go_on();
+        }
+        if self.over_ms.is_some_and(|over_ms| ms > over_ms) {
+            let status = self.job.as_ref().and_then(Job::status);
+            self.fail(Rule::Liveness, format!("healed, and no drawing came: {status:?}"));
+        }
+    }
+
+    fn surroundings(&mut self) -> Surroundings {
+        Surroundings {
+            stop_shows_open: self.stop_shows_open(),
+            ..Surroundings::default()
+        }
+    }
+
+    fn is_over(&self) -> bool {
+        self.is_over
+    }
+}
