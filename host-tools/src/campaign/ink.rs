@@ -44,6 +44,13 @@ pub(super) fn compare(
     Ok(())
 }
 
+/// Whether there is no ink behind the first `from` points but where the pen stood then.
+pub(super) fn is_empty(ink: &[InkStroke], from: usize, limit_mm: f64) -> bool {
+    let stood = last_before(ink, from);
+    let is_there = |end: Point| stood.is_some_and(|stood| distance(stood, end) <= limit_mm);
+    segments(ink, from).iter().all(|segment| is_there(segment[1]))
+}
+
 /// Whether there is ink behind the first `from` points within `limit_mm` of the lines of a path that are drawn.
 ///
 /// # Errors

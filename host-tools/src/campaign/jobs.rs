@@ -16,11 +16,12 @@ use crate::job::error::Phase;
 use crate::job::history::hash_text;
 use crate::job::logged::{Logged, Written};
 use crate::job::resume::{self, MachineState, ResumePlan, begin_record_in, last_in};
-use crate::job::{Job, JobEvent, JobOptions, Task, path_hash};
+use crate::job::{Control, Job, JobEvent, JobOptions, Task, path_hash};
 use crate::link::port::PortName;
 use crate::drawing::preparation::wire::from_wire;
 use crate::planning::planned_s;
 use crate::simulation::{self, Host, Surroundings};
+use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::messages::PathVertex;
 use log::Log;
@@ -259,7 +260,7 @@ impl<'e> Desk<'e> {
             }
             Next::Wait => self.pause(),
             // An earlier copy is meant.
-            Next::Believe if self.points() == self.inked => self.act(Next::Anew),
+            Next::Believe if self.is_empty() => self.act(Next::Anew),
             Next::Believe => self.believe("nothing is left to draw"),
         }
     }
@@ -267,6 +268,12 @@ impl<'e> Desk<'e> {
     /// The present drawing.
     fn path(&self) -> &[PathVertex] {
         self.paths.get(self.number).map_or(&[], Vec::as_slice)
+    }
+
+    /// Whether nothing was drawn on this sheet.
+    fn is_empty(&self) -> bool {
+        let (from, limit_mm) = (self.inked, ink_limit_mm(&self.config));
+        self.world.look(|cell, _| ink::is_empty(cell.ink(), from, limit_mm))
     }
 
     /// Points of ink on all sheets.
@@ -347,6 +354,11 @@ impl<'e> Desk<'e> {
                     }
                 }
                 let Some(outcome) = outcome else {
+                    if job.status().is_some_and(|status| status.mode == Mode::Holding)
+                        && self.now_ms.is_multiple_of(self.episode.patience_ms.max(1))
+                    {
+                        job.control(Control::Resume);
+                    }
                     let since_ms = self.now_ms - self.since_ms;
                     if since_ms.is_multiple_of(PROGRESS_MS) {
                         let whole = logged.whole(&job.progress());

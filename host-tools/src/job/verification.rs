@@ -5,6 +5,8 @@
 //! counts as followed if the positions measured for both are close to it. Parts whose samples were lost on the line are
 //! neither followed nor missing: they are not verified.
 //!
+//! A dot is so short that all of it may pass between two samples; it is looked for in those around it too.
+//!
 //! Strokes are compared without their noise: vertices within `THINNED_MM` of the one before do not matter. A stroke
 //! that then still comes so close to itself that matching would cost more than `LOOKS_PER_ROW` is not verified.
 //!
@@ -36,6 +38,9 @@ const FOLLOWED_BY_TORQUE_MM: f64 = 1.5;
 const ALONG: f64 = 2.0;
 /// Distance from their stroke's ends within which references begin and end, mm.
 const END_MM: f64 = 0.5;
+/// Distance of a reference from a dot within which the pen is on it, whatever the sample says of the pen, mm: a path that turns
+/// round at the paper has samples there.
+const TOUCHES_MM: f64 = 0.1;
 /// Samples of a stroke that are matched at once.
 const SAMPLES_MAX: usize = 4_096;
 /// Vertices of a stroke within this distance of the one before count as noise, mm; well below [`FOLLOWED_MM`].
@@ -292,7 +297,9 @@ impl Verifier {
         if !is_drawing(cause.mode) {
             return self.end_line();
         }
-        if cause.pen == Pen::Up {
+        let line = self.numbers.get(&cause.stroke).copied();
+        let dot = line.and_then(|line| self.lines.get(line)).filter(|line| self.is_dot(line));
+        if cause.pen == Pen::Up && dot.is_none() {
             return;
         }
         let Some(kinematics) = &self.kinematics else { return };
@@ -300,7 +307,10 @@ impl Verifier {
         let (Some(reference), Some(measured)) = (place(cause.setpoint_rad), place(sample.measured_rad)) else {
             return;
         };
-        let line = self.numbers.get(&cause.stroke).copied();
+        let is_above = |dot: &Polyline| dot.distance_between(&reference, 0.0, dot.length_mm()) > TOUCHES_MM;
+        if cause.pen == Pen::Up && dot.is_none_or(is_above) {
+            return;
+        }
         if line != self.line {
             self.end_line();
             self.line = line;
@@ -317,6 +327,11 @@ impl Verifier {
             passed_ms,
             is_after_gap: std::mem::take(&mut self.has_gap),
         });
+    }
+
+    /// Whether a line is so short that no sample with the pen down need be on it.
+    fn is_dot(&self, line: &Polyline) -> bool {
+        line.length_mm() <= self.speed_mm_s / 1_000.0
     }
 
     /// The stroke has ended.

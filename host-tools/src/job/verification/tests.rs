@@ -664,3 +664,67 @@ fn a_gap_is_noticed_whatever_the_age_of_a_measurement_is() {
         assert!(verdict.unverified_mm > 0.0, "{age_ms} ms: {verdict:?}");
     }
 }
+
+/// Strokes of these lengths, each to its end and halfway back.
+fn dots(config: &Config, lengths_mm: &[f64]) -> Vec<Vertex> {
+    let (z_mm, lift_mm) = (config.paper.pen_down_z_mm, config.paper.pen_lift_mm);
+    let mut path = Vec::new();
+    for (stroke, length_mm) in (0..).zip(lengths_mm) {
+        for (along_mm, z_mm, pen) in [
+            (0.0, z_mm + lift_mm, Pen::Up),
+            (0.0, z_mm, Pen::Up),
+            (*length_mm, z_mm, Pen::Down),
+            (0.5 * length_mm, z_mm, Pen::Down),
+            (0.5 * length_mm, z_mm + lift_mm, Pen::Up),
+        ] {
+            let position = Position {
+                x_mm: 5.0 * f64::from(stroke) + along_mm,
+                y_mm: 0.0,
+                z_mm,
+            };
+            path.push(Vertex { position, pen, stroke });
+        }
+    }
+    path
+}
+
+#[test]
+fn a_dot_of_any_size_is_followed_and_one_above_the_paper_is_missing() {
+    let mut random = Lcg::new(1);
+    for round in 0..30 {
+        let mut config = Config::default();
+        config.motion.pen_dwell_ms = (random.unit() * 30.0) as u16;
+        config.motion.speed_mm_s = 300.0 * 0.05_f64.powf(random.unit());
+        config.paper.pen_lift_mm = random.between(2.0, 6.0);
+        let lengths_mm: Vec<f64> = (0..1 + round % 3).map(|_| 0.001 * 1_000_f64.powf(random.unit())).collect();
+        let path = dots(&config, &lengths_mm);
+        let mut samples = telemetry(&config, &path);
+        // What takes less than a millisecond may have no sample with the pen down.
+        let passes = |sample: &&mut Sample| 1e3 * lengths_mm[sample.stroke as usize] < config.motion.speed_mm_s;
+        samples.iter_mut().filter(passes).for_each(|sample| sample.pen = Pen::Up);
+        let followed = verdict(&config, &path, &samples);
+        assert_eq!(followed.error(), None, "{lengths_mm:?}: {followed:?}");
+        assert!(followed.unverified_mm < 1e-6, "{lengths_mm:?}: {followed:?}");
+        // The pen follows 1 mm above.
+        let raised = path.iter().map(|vertex| {
+            let z_mm = vertex.position.z_mm + 1.0;
+            Vertex {
+                position: Position {
+                    z_mm,
+                    ..vertex.position
+                },
+                ..*vertex
+            }
+        });
+        let above: Vec<Sample> = samples
+            .iter()
+            .zip(telemetry(&config, &raised.collect::<Vec<_>>()))
+            .map(|(sample, above)| Sample {
+                measured_rad: above.measured_rad,
+                ..*sample
+            })
+            .collect();
+        let missing = verdict(&config, &path, &above);
+        assert_eq!(missing.strokes.len(), lengths_mm.len(), "{lengths_mm:?}: {missing:?}");
+    }
+}
