@@ -88,7 +88,7 @@ struct Desk<'e> {
     was_stopped: bool,
     /// Points of ink on earlier sheets.
     inked: usize,
-    /// Whether anything was drawn on this sheet; then a person resumes.
+    /// Whether the drawing on this sheet is in the log; then a person resumes.
     has_begun: bool,
     next_event: usize,
     /// The time at which everything is over at the latest, ms; known once everything is healed.
@@ -250,6 +250,8 @@ impl<'e> Desk<'e> {
                 let file = Path::new(FILE);
                 // Without a log the drawing is drawn all the same.
                 let record = begin_record_in(&self.log.folder(), file, &(), &port, &self.config, self.path()).ok();
+                // A person who was told so does not resume.
+                self.has_begun = record.is_some();
                 self.draw(ResumePlan::whole(self.path(), record));
             }
             Next::Cancel => {
@@ -283,7 +285,7 @@ impl<'e> Desk<'e> {
 
     fn new_sheet(&mut self) {
         self.inked = self.points();
-        (self.was_stopped, self.has_begun) = (self.stop_shows_open(), true);
+        self.was_stopped = self.stop_shows_open();
     }
 
     fn draw(&mut self, plan: ResumePlan) {

@@ -31,11 +31,14 @@ pub struct Logged {
     updated: Duration,
     /// Whether the disk is to know, and does not, that the board draws.
     is_owed: bool,
+    /// Whether there may have been ink before.
+    had_ink: bool,
 }
 
 impl Logged {
     /// Begins to draw what `plan` says of `path`, or goes on with it.
     pub fn begin(config: &Config, path: &[PathVertex], mut plan: ResumePlan) -> Self {
+        let had_ink = plan.record.as_ref().is_some_and(|record| record.entry.may_have_ink());
         if let Some(record) = &mut plan.record {
             record.entry.number = plan.drawing.number;
             record.entry.result = None;
@@ -46,6 +49,7 @@ impl Logged {
             plan,
             updated: Duration::ZERO,
             is_owed: false,
+            had_ink,
         }
     }
 
@@ -120,6 +124,10 @@ impl Logged {
             record.entry.progress(&whole);
         }
         record.entry.drawn_s = self.plan.drawn_before_s + report.drawn_s;
+        if self.had_ink && !record.entry.may_have_ink() {
+            // This attempt has drawn nothing; the one before was cut off.
+            record.entry.result = None;
+        }
         record.save()
     }
 }
