@@ -87,6 +87,8 @@ pub struct TrajectoryTask<'a> {
     epoch: Option<u8>,
     filled: bool,
     path: PathPhase,
+    /// Whether the path that was begun last has started; before that, the trajectory counts what another one has executed.
+    has_started: bool,
     /// Whether a hold arrived before the path began to move.
     held_before_start: bool,
     overruns: u32,
@@ -112,6 +114,7 @@ impl<'a> TrajectoryTask<'a> {
             epoch: None,
             filled: false,
             path: PathPhase::None,
+            has_started: false,
             held_before_start: false,
             overruns: 0,
             orders_taken: 0,
@@ -131,6 +134,7 @@ impl<'a> TrajectoryTask<'a> {
         if !self.held_before_start {
             self.path = take_vertices(trajectory, &mut self.vertices, self.path);
         }
+        self.has_started |= matches!(self.path, PathPhase::Running | PathPhase::Complete);
         if let Some(epoch) = self.epoch {
             self.overruns += u32::from(self.filled && self.setpoints.is_empty());
             self.filled = true;
@@ -152,11 +156,7 @@ impl<'a> TrajectoryTask<'a> {
         let report = MotionReport {
             idle: state == MotionState::Idle && !path_pending,
             held: state == MotionState::Held || self.held_before_start,
-            executed: if self.path == PathPhase::Gathering {
-                0
-            } else {
-                trajectory.executed()
-            },
+            executed: if self.has_started { trajectory.executed() } else { 0 },
             finished: self.path == PathPhase::Finished,
             // Without a pose no motion is expected.
             stalled_ms: self
@@ -183,7 +183,7 @@ impl<'a> TrajectoryTask<'a> {
                 self.epoch = placed.then_some(epoch);
                 self.filled = false;
             }
-            MotionOrder::BeginPath => self.path = PathPhase::Gathering,
+            MotionOrder::BeginPath => (self.path, self.has_started) = (PathPhase::Gathering, false),
             MotionOrder::Abandon => {
                 self.epoch = None;
                 self.drop_path();
@@ -234,4 +234,67 @@ fn take_vertices(trajectory: &mut Trajectory, vertices: &mut Consumer<'_, PathIt
         }
     }
     path
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::config::Config;
+    use crate::control::sampler::Queued;
+    use etherpen_motion::Pen;
+    use etherpen_motion::robots::{Kinematics, Position};
+    use heapless::spsc::Queue;
+    use std::boxed::Box;
+
+    fn queue<T, const N: usize>() -> (Producer<'static, T>, Consumer<'static, T>) {
+        Box::leak(Box::new(Queue::<T, N>::new())).split()
+    }
+
+    #[test]
+    fn what_an_earlier_path_has_executed_is_not_told_of_one_that_never_started() {
+        let config = Config::default();
+        let kinematics = Kinematics::new(&config.geometry).expect("a robot");
+        let settings = config.motion_settings();
+        let trajectory = Box::leak(Box::new(Trajectory::new(&settings).expect("a robot")));
+        let (mut orders, orders_out) = queue::<_, 8>();
+        let (mut vertices, vertices_out) = queue::<_, 64>();
+        let (setpoints_in, mut setpoints) = queue::<Queued, 64>();
+        let (reports_in, mut reports) = queue::<_, 4>();
+        let mut task = TrajectoryTask::new(trajectory, orders_out, vertices_out, setpoints_in, reports_in);
+        let mut release = |task: &mut TrajectoryTask| {
+            task.release();
+            (0..PERIOD_MS).for_each(|_| drop(setpoints.dequeue()));
+            reports.dequeue().expect("a report")
+        };
+        let mut order = |order: MotionOrder| orders.enqueue(order).expect("room");
+        let at = |x_mm: f64| Position {
+            x_mm,
+            y_mm: 0.0,
+            z_mm: config.paper.pen_down_z_mm + config.paper.pen_lift_mm,
+        };
+        let [first, second, third] = kinematics.inverse(&at(0.0)).expect("a pose");
+        let pose = JointAngles([first, second, third, 0.0]);
+        order(MotionOrder::Configure(settings));
+        order(MotionOrder::Place { pose, epoch: 1 });
+        order(MotionOrder::BeginPath);
+        for number in 1..=20 {
+            let vertex = Vertex {
+                position: at(f64::from(number)),
+                pen: Pen::Up,
+                stroke: 0,
+            };
+            vertices.enqueue(PathItem::Vertex(vertex)).expect("room");
+        }
+        vertices.enqueue(PathItem::End).expect("room");
+        let done = (0..500).map(|_| release(&mut task)).find(|report| report.finished);
+        assert_eq!(done.expect("it is executed").executed, 20);
+        order(MotionOrder::BeginPath);
+        assert_eq!(release(&mut task).executed, 0);
+        order(MotionOrder::Abandon);
+        assert_eq!(
+            release(&mut task).executed,
+            0,
+            "the path that was dropped has executed nothing"
+        );
+    }
 }

@@ -83,6 +83,8 @@ pub struct Coordinator<'a> {
     counters: Counters,
     vertices_admitted: u32,
     orders_sent: u32,
+    /// Orders sent when the present path had been begun: the trajectory's earlier reports are about another one.
+    path_orders: u32,
     /// Bus request in progress, with its number; the inner `None` if an earlier session made it.
     asked: Option<Option<u16>>,
     now_ms: u64,
@@ -118,6 +120,7 @@ impl<'a> Coordinator<'a> {
             counters: Counters::default(),
             vertices_admitted: 0,
             orders_sent: 0,
+            path_orders: 0,
             asked: None,
             now_ms: 0,
             board: BoardState::default(),
@@ -163,7 +166,9 @@ impl<'a> Coordinator<'a> {
             self.take_event(&event);
         }
         while let Some(report) = self.ends.motion_reports.dequeue() {
-            self.motion = report;
+            let is_earlier = report.orders.wrapping_sub(self.path_orders) > u32::MAX / 2;
+            let executed = if is_earlier { 0 } else { report.executed };
+            self.motion = MotionReport { executed, ..report };
             self.counters.path_starvations = report.starvations;
             self.counters.trajectory_overruns = report.overruns;
         }

@@ -93,6 +93,9 @@ impl Coordinator<'_> {
             self.motion = MotionReport::default();
         }
         self.carry_out_all();
+        if let Command::Draw { .. } = command {
+            self.path_orders = self.orders_sent;
+        }
         Ok(())
     }
 

@@ -30,6 +30,7 @@ struct Tasks {
     services: Consumer<'static, ServiceRequest>,
     answers: Producer<'static, ServiceResult>,
     network: Consumer<'static, Option<NetworkSettings>>,
+    motion: Producer<'static, MotionReport>,
 }
 
 fn queue<T, const N: usize>() -> (Producer<'static, T>, Consumer<'static, T>) {
@@ -42,7 +43,7 @@ impl Tasks {
         let (sampler_commands_in, sampler_commands) = queue::<_, 17>();
         let (vertices_in, vertices) = queue::<_, 33>();
         let (motion_orders_in, motion_orders) = queue::<_, 17>();
-        let (_, motion_reports) = queue::<_, 5>();
+        let (motion, motion_reports) = queue::<_, 5>();
         let (commands, bus_commands) = queue::<_, 3>();
         let (bus_events, events) = queue::<_, 9>();
         let (services_in, services) = queue::<_, 2>();
@@ -74,6 +75,7 @@ impl Tasks {
             services,
             answers,
             network,
+            motion,
         }
     }
 
@@ -329,6 +331,55 @@ fn each_drawing_counts_its_vertices_from_0() {
             ..MotionReport::default()
         };
     }
+}
+
+#[test]
+fn what_an_earlier_path_has_executed_is_not_told_of_the_next_one() {
+    let mut tasks = Tasks::new();
+    assert!(tasks.coordinator.configure(&Config::default()).is_ok());
+    tasks.event(BusEvent::Operational);
+    let mut report = CycleReport {
+        valid: [true; AXES],
+        homed: [true; AXES],
+        status_word: [0x0237; AXES],
+        standstill: true,
+        ..CycleReport::default()
+    };
+    let mut step = |tasks: &mut Tasks, vertex: u32| {
+        report.cycle += 10;
+        report.setpoint.vertex = vertex;
+        tasks.reports.enqueue(report).unwrap();
+        tasks.coordinator.take_sample();
+        tasks.coordinator.advance();
+        tasks.coordinator.step(0);
+    };
+    // What the trajectory reports when all orders but so many are taken.
+    let moves = |tasks: &mut Tasks, orders_left: u32, executed: u32| {
+        let report = MotionReport {
+            idle: true,
+            executed,
+            orders: tasks.coordinator.orders_sent - orders_left,
+            ..MotionReport::default()
+        };
+        tasks.motion.enqueue(report).unwrap();
+        tasks.coordinator.take_events();
+        tasks.coordinator.path_progress().executed
+    };
+    step(&mut tasks, 0);
+    assert_eq!(tasks.coordinator.command(Command::Enable), Ok(()));
+    step(&mut tasks, 0);
+    assert_eq!(tasks.coordinator.command(Command::Draw { job: 1 }), Ok(()));
+    step(&mut tasks, 20);
+    assert_eq!(moves(&mut tasks, 0, 20), 20);
+    assert_eq!(tasks.coordinator.command(Command::Cancel), Ok(()));
+    assert_eq!(moves(&mut tasks, 0, 20), 20, "it stays told");
+    step(&mut tasks, 20);
+    assert_eq!(tasks.coordinator.mode(), Mode::Idle);
+    assert_eq!(tasks.coordinator.command(Command::Draw { job: 1 }), Ok(()));
+    assert_eq!(moves(&mut tasks, 1, 20), 0, "a report from before the order was taken");
+    assert_eq!(moves(&mut tasks, 0, 3), 3);
+    assert_eq!(tasks.coordinator.command(Command::Override { percent: 50 }), Ok(()));
+    assert_eq!(moves(&mut tasks, 1, 4), 4, "another order changes nothing");
 }
 
 /// An input of a terminal at the fifth place, whose failure is no fault.

@@ -11,6 +11,7 @@ use super::judge::ink_limit_mm;
 use super::line::Line;
 use super::world::World;
 use super::{Failure, LIMIT_MS, Rule, Run};
+use crate::drawing::preparation::wire::from_wire;
 use crate::error::ProgramError;
 use crate::job::error::Phase;
 use crate::job::history::hash_text;
@@ -18,7 +19,6 @@ use crate::job::logged::{Logged, Written};
 use crate::job::resume::{self, MachineState, ResumePlan, begin_record_in, last_in};
 use crate::job::{Control, Job, JobEvent, JobOptions, Task, path_hash};
 use crate::link::port::PortName;
-use crate::drawing::preparation::wire::from_wire;
 use crate::planning::planned_s;
 use crate::simulation::{self, Host, Surroundings};
 use etherpen::application::Mode;
@@ -389,7 +389,10 @@ impl<'e> Desk<'e> {
     fn latest_ms(&self) -> u32 {
         let path: Vec<_> = self.path().iter().map(from_wire).collect();
         let drawing_ms = BEGINNINGS * 1e3 * planned_s(&self.config, &path);
-        self.episode.duration_ms.saturating_add(LIVENESS_MAX_MS).saturating_add(drawing_ms as u32)
+        self.episode
+            .duration_ms
+            .saturating_add(LIVENESS_MAX_MS)
+            .saturating_add(drawing_ms as u32)
     }
 }
 
@@ -408,7 +411,12 @@ fn understood(said: &ProgramError) -> Result<Next, String> {
 impl Host for Desk<'_> {
     fn exchange(&mut self, ms: u32, from_firmware: &[u8], to_firmware: &mut Vec<u8>, room: usize) {
         self.now_ms = ms;
-        while let Some(event) = self.episode.events.get(self.next_event).filter(|event| event.at_ms <= ms) {
+        while let Some(event) = self
+            .episode
+            .events
+            .get(self.next_event)
+            .filter(|event| event.at_ms <= ms)
+        {
             self.next_event += 1;
             self.happen(event);
         }

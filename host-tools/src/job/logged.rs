@@ -82,7 +82,9 @@ impl Logged {
                 .measure
                 .progress(number(before), number(executed), progress.elapsed_s)
         };
-        let missing_from = progress.missing_from().map(|missing_from| self.plan.executed(missing_from));
+        let missing_from = progress
+            .missing_from()
+            .map(|missing_from| self.plan.executed(missing_from));
         whole.complete_to(missing_from)
     }
 

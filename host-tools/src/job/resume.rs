@@ -291,9 +291,7 @@ fn candidates(records: &[Record], hash: &str, file: &Path) -> Result<Vec<Record>
         .rev()
         .filter(|record| record.entry.path_hash == hash)
         .collect();
-    let drawn = of_path
-        .iter()
-        .position(|record| has_ink(record));
+    let drawn = of_path.iter().position(|record| has_ink(record));
     let (without_ink, with_ink) = of_path.split_at(drawn.unwrap_or(of_path.len()));
     match with_ink.first() {
         Some(newest) if newest.entry.completed && without_ink.is_empty() => {

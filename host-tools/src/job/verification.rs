@@ -298,7 +298,9 @@ impl Verifier {
             return self.end_line();
         }
         let line = self.numbers.get(&cause.stroke).copied();
-        let dot = line.and_then(|line| self.lines.get(line)).filter(|line| self.is_dot(line));
+        let dot = line
+            .and_then(|line| self.lines.get(line))
+            .filter(|line| self.is_dot(line));
         if cause.pen == Pen::Up && dot.is_none() {
             return;
         }

@@ -83,6 +83,7 @@ pub fn episode(machine: &Machine, seed: u64, profile: Profile) -> Episode {
     };
     if profile == Profile::Files {
         mishaps::befall(&mut episode, &machine.config.motion, seed);
+        setup::keep_valid(&mut episode);
         mechanism::vary(&mut episode, seed);
         return episode;
     }
@@ -226,7 +227,9 @@ pub(super) fn what(chance: &mut Chance, machine: &Machine, profile: Profile) -> 
             2 => What::PortDown(chance.milliseconds(2_000)),
             _ => What::StopInput(chance.milliseconds(2_000)),
         },
-        Profile::Operator | Profile::Files | Profile::All | Profile::Quiet if chance.one_in(2) => What::Beside(command(chance, machine)),
+        Profile::Operator | Profile::Files | Profile::All | Profile::Quiet if chance.one_in(2) => {
+            What::Beside(command(chance, machine))
+        }
         Profile::Operator | Profile::Files | Profile::All | Profile::Quiet => What::Command(command(chance, machine)),
     }
 }

@@ -128,7 +128,7 @@ pub(super) fn configuration(chance: &mut Chance, machine: &Machine) -> BTreeMap<
 }
 
 /// Takes values away that the machine cannot have together.
-fn keep_valid(episode: &mut Episode) {
+pub(super) fn keep_valid(episode: &mut Episode) {
     while episode.configuration().is_err() && episode.config.pop_last().is_some() {}
 }
 

@@ -59,12 +59,16 @@ impl Log {
     /// The newest entry: of the drawing that is drawn here.
     fn newest(&self) -> Option<PathBuf> {
         let files = fs::read_dir(self.folder()).ok()?.flatten().map(|file| file.path());
-        files.filter(|path| path.extension().is_some_and(|name| name == "json")).max()
+        files
+            .filter(|path| path.extension().is_some_and(|name| name == "json"))
+            .max()
     }
 
     /// The newest entry has come to the disk.
     pub(super) fn is_synced(&mut self) {
-        self.synced = self.newest().and_then(|path| Some((path.clone(), fs::read(path).ok()?)));
+        self.synced = self
+            .newest()
+            .and_then(|path| Some((path.clone(), fs::read(path).ok()?)));
     }
 
     /// Lets a mishap come over the files.
@@ -83,7 +87,9 @@ impl Log {
                 _ => Ok(()),
             },
             Mishap::KilledWriting(place, _) => {
-                let Some((path, mut bytes)) = self.entry() else { return Ok(()) };
+                let Some((path, mut bytes)) = self.entry() else {
+                    return Ok(());
+                };
                 bytes.truncate(at(place, bytes.len()));
                 let name = path.file_name().unwrap_or_default().to_string_lossy();
                 fs::write(path.with_file_name(format!(".{name}.1-0.part")), bytes)
@@ -109,7 +115,9 @@ impl Log {
     }
 
     fn change(&self, damage: impl FnOnce(&mut Vec<u8>)) -> io::Result<()> {
-        let Some((path, mut bytes)) = self.entry() else { return Ok(()) };
+        let Some((path, mut bytes)) = self.entry() else {
+            return Ok(());
+        };
         damage(&mut bytes);
         fs::write(path, bytes)
     }

@@ -696,12 +696,17 @@ fn a_dot_of_any_size_is_followed_and_one_above_the_paper_is_missing() {
         config.motion.pen_dwell_ms = (random.unit() * 30.0) as u16;
         config.motion.speed_mm_s = 300.0 * 0.05_f64.powf(random.unit());
         config.paper.pen_lift_mm = random.between(2.0, 6.0);
-        let lengths_mm: Vec<f64> = (0..1 + round % 3).map(|_| 0.001 * 1_000_f64.powf(random.unit())).collect();
+        let lengths_mm: Vec<f64> = (0..1 + round % 3)
+            .map(|_| 0.001 * 1_000_f64.powf(random.unit()))
+            .collect();
         let path = dots(&config, &lengths_mm);
         let mut samples = telemetry(&config, &path);
         // What takes less than a millisecond may have no sample with the pen down.
         let passes = |sample: &&mut Sample| 1e3 * lengths_mm[sample.stroke as usize] < config.motion.speed_mm_s;
-        samples.iter_mut().filter(passes).for_each(|sample| sample.pen = Pen::Up);
+        samples
+            .iter_mut()
+            .filter(passes)
+            .for_each(|sample| sample.pen = Pen::Up);
         let followed = verdict(&config, &path, &samples);
         assert_eq!(followed.error(), None, "{lengths_mm:?}: {followed:?}");
         assert!(followed.unverified_mm < 1e-6, "{lengths_mm:?}: {followed:?}");
