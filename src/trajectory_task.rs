@@ -276,6 +276,7 @@ mod tests {
         let pose = JointAngles([first, second, third, 0.0]);
         order(MotionOrder::Configure(settings));
         order(MotionOrder::Place { pose, epoch: 1 });
+        release(&mut task);
         order(MotionOrder::BeginPath);
         for number in 1..=20 {
             let vertex = Vertex {
