@@ -733,3 +733,36 @@ fn a_dot_of_any_size_is_followed_and_one_above_the_paper_is_missing() {
         assert_eq!(missing.strokes.len(), lengths_mm.len(), "{lengths_mm:?}: {missing:?}");
     }
 }
+
+#[test]
+fn a_long_stroke_is_followed_at_every_speed() {
+    for speed_mm_s in [100.0, 500.0, 530.0, 1_000.0] {
+        let mut config = Config::default();
+        config.motion.speed_mm_s = speed_mm_s;
+        let z_mm = config.paper.pen_down_z_mm;
+        // Rings that take longer than the samples that are matched at once.
+        let turns = 4.0 + speed_mm_s / 50.0;
+        let point = |step: f64| {
+            let (angle, radius_mm) = (step * std::f64::consts::TAU / 90.0, 30.0 + step / 90.0);
+            [radius_mm * angle.cos(), radius_mm * angle.sin()]
+        };
+        let vertex = |[x_mm, y_mm]: [f64; 2], z_mm: f64, pen: Pen| Vertex {
+            position: Position { x_mm, y_mm, z_mm },
+            pen,
+            stroke: 0,
+        };
+        let mut path = vec![
+            vertex(point(0.0), z_mm + LIFT_MM, Pen::Up),
+            vertex(point(0.0), z_mm, Pen::Up),
+        ];
+        path.extend((1..(90.0 * turns) as u32).map(|step| vertex(point(step.into()), z_mm, Pen::Down)));
+        let samples = telemetry(&config, &path);
+        assert!(samples.len() > SAMPLES_MAX, "{} samples", samples.len());
+        let verdict = verdict(&config, &path, &samples);
+        assert_eq!(verdict.error(), None, "{speed_mm_s} mm/s: {verdict:?}");
+        assert!(
+            verdict.missing_mm + verdict.unverified_mm < 1e-6,
+            "{speed_mm_s} mm/s: {verdict:?}"
+        );
+    }
+}
