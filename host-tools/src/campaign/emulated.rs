@@ -124,6 +124,10 @@ thread_local! {
 pub fn run_image(image: &Path, episode: &Episode) -> Run {
     PROCESSOR.with(|_| ());
     caught(|| {
+        if episode.by_jobs {
+            let text = "the program's own jobs draw in this episode: run it without --emulated";
+            return Run::failed(Rule::Episode, text.to_owned());
+        }
         let (config, world) = match prepared(episode) {
             Ok(prepared) => prepared,
             Err(failed) => return failed,

@@ -459,3 +459,63 @@ impl Host for Desk<'_> {
         self.is_over
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::super::episode::Figure;
+    use super::super::generate::{Profile, episode};
+    use super::super::machine::{DEFAULT_MACHINE, Machine};
+    use super::super::prepared;
+    use super::*;
+    use crate::job::history::list;
+
+    /// Somebody kills the program in the first stroke, lets the machine forget its drawing, and writes a log that is whole and
+    /// says that more was drawn.
+    struct Forger<'e> {
+        desk: Desk<'e>,
+        at_ms: u32,
+    }
+
+    impl Host for Forger<'_> {
+        fn exchange(&mut self, ms: u32, from_firmware: &[u8], to_firmware: &mut Vec<u8>, room: usize) {
+            if ms == self.at_ms {
+                self.desk.leave(ms + 300);
+                (self.desk.stop_until_ms, self.desk.was_stopped) = (ms + 100, true);
+                let mut records = list(&self.desk.log.folder()).expect("a log");
+                let record = records.last_mut().expect("an entry");
+                record.entry.executed = self.desk.path().len() as u32 - 3;
+                record.save().expect("the entry");
+            }
+            self.desk.exchange(ms, from_firmware, to_firmware, room);
+        }
+
+        fn surroundings(&mut self) -> Surroundings {
+            self.desk.surroundings()
+        }
+
+        fn is_over(&self) -> bool {
+            self.desk.is_over()
+        }
+    }
+
+    #[test]
+    fn a_log_that_says_too_much_is_found_from_the_ink() {
+        let machine = Machine::load(DEFAULT_MACHINE).expect("a bundled machine");
+        let line = |y_um: i32| vec![[-40_000, y_um], [40_000, y_um]];
+        let episode = Episode {
+            figures: vec![Figure(vec![line(-20_000), line(0), line(20_000)])],
+            config: std::collections::BTreeMap::new(),
+            events: Vec::new(),
+            ..episode(&machine, 1, Profile::Files)
+        };
+        for (at_ms, is_found) in [(1_500, true), (u32::MAX, false)] {
+            let (config, world) = prepared(&episode).expect("an episode");
+            let desk = Desk::new(&episode, config, world.clone(), Log::new().expect("a log"));
+            let mut forger = Forger { desk, at_ms };
+            simulation::run(&mut world.clone(), &mut forger, LIMIT_MS);
+            let failure = forger.desk.failure;
+            let is_of_ink = failure.as_ref().is_some_and(|failure| failure.rule == Rule::Ink);
+            assert_eq!(is_of_ink, is_found, "{at_ms} ms: {failure:?}");
+        }
+    }
+}

@@ -153,6 +153,10 @@ fn runner(arguments: &Arguments) -> Result<Runner, ProgramError> {
     if !arguments.emulated {
         return Ok(Box::new(campaign::run));
     }
+    if arguments.replay.is_empty() && arguments.profile == Profile::Files {
+        let text = "the profile files is about the program and its log, not about the board: leave --emulated out";
+        return Err(ProgramError::new(code::USAGE, text));
+    }
     setup::ensure_qemu()?;
     let image = setup::build_firmware("emulated")?;
     Ok(Box::new(move |episode| campaign::run_image(&image, episode)))

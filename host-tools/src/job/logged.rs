@@ -133,3 +133,138 @@ impl Logged {
         record.save()
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::job::history::hash_text;
+    use crate::job::path_hash;
+    use crate::job::resume::{MachineState, begin_record_in, last_in, plan};
+    use crate::link::port::PortName;
+    use crate::link::rig::path;
+    use etherpen::link::Protocol;
+    use etherpen::messages::RobotProtocol;
+    use std::fs;
+    use std::path::{Path, PathBuf};
+
+    const FILE: &str = "portrait.png";
+
+    /// A log's folder; removed with the value.
+    struct Folder(PathBuf);
+
+    impl Folder {
+        fn new(name: &str) -> Self {
+            let folder = std::env::temp_dir().join(format!("etherpen-logged-{name}-{}", std::process::id()));
+            let _ = fs::remove_dir_all(&folder);
+            Self(folder)
+        }
+
+        /// A drawing from its beginning.
+        fn begin(&self, path: &[PathVertex]) -> Logged {
+            let (config, port) = (Config::default(), PortName::Serial("/dev/ttyACM0".into()));
+            let record = begin_record_in(&self.0, Path::new(FILE), &(), &port, &config, path).expect("a log");
+            Logged::begin(&config, path, ResumePlan::whole(path, Some(record)))
+        }
+
+        /// What is resumed on a machine that holds nothing.
+        fn resumed(&self, path: &[PathVertex]) -> Result<ResumePlan, String> {
+            let found = last_in(&self.0, &hash_text(path_hash(path)), Path::new(FILE));
+            let machine = MachineState {
+                welcome: Some(welcome()),
+                ..MachineState::default()
+            };
+            let plan = found.and_then(|found| plan(found, &machine, &Config::default(), path));
+            plan.map_err(|error| error.message)
+        }
+
+        fn newest(&self) -> (PathBuf, Vec<u8>) {
+            let files = fs::read_dir(&self.0).expect("a log").flatten().map(|file| file.path());
+            let newest = files.max().expect("an entry");
+            let bytes = fs::read(&newest).expect("the entry");
+            (newest, bytes)
+        }
+    }
+
+    impl Drop for Folder {
+        fn drop(&mut self) {
+            let _ = fs::remove_dir_all(&self.0);
+        }
+    }
+
+    /// Progress of a path that has executed so many vertices.
+    fn progress(path: &[PathVertex], executed: u32) -> Progress {
+        PathMeasure::new(path, &Config::default()).progress(0, executed, 1.0)
+    }
+
+    fn welcome() -> Welcome {
+        Welcome {
+            protocol: 1,
+            session: 1,
+            firmware: "1.0".try_into().expect("a short text"),
+            board: "example".try_into().expect("a short text"),
+            config: None,
+            capacity: 100,
+            previous: <RobotProtocol as Protocol>::NO_PREVIOUS_RUN,
+        }
+    }
+
+    #[test]
+    fn after_a_power_cut_the_copy_that_was_being_drawn_goes_on_and_not_one_before_it() {
+        let (folder, path) = (Folder::new("cut"), path(40));
+        for executed in [40, 20] {
+            let mut before = folder.begin(&path);
+            before.connected(&welcome());
+            let report = JobReport {
+                progress: progress(&path, executed),
+                ..JobReport::default()
+            };
+            before
+                .end(if executed == 40 { Ok(()) } else { Err("cancelled") }, &report)
+                .expect("a log");
+            let mut copy = folder.begin(&path);
+            copy.connected(&welcome());
+            assert_eq!(copy.draws(), Some(Written::Synced));
+            let (file, on_disk) = folder.newest();
+            let written = copy.advance(&progress(&path, 30), Duration::from_secs(1));
+            assert_eq!(written, Some(Written::Unsynced));
+            assert!(folder.resumed(&path).expect("it goes on").drawing.vertices.len() < 40);
+            // Another program goes on, and ends before it has drawn anything.
+            for attempt in 0..3 {
+                fs::write(&file, &on_disk).expect("the entry");
+                let plan = folder.resumed(&path).expect("it goes on");
+                assert_eq!(plan.drawing.vertices[..], path[..], "attempt {attempt}");
+                let mut again = Logged::begin(&Config::default(), &path, plan);
+                again.end(Err("a fault"), &JobReport::default()).expect("a log");
+                assert_eq!(
+                    folder.resumed(&path).expect("it goes on").drawing.vertices[..],
+                    path[..]
+                );
+            }
+            // What was ordered and ended before it drew is no copy.
+            fs::remove_file(&file).expect("the entry");
+            let mut refused = folder.begin(&path);
+            refused.connected(&welcome());
+            refused.end(Err("refused"), &JobReport::default()).expect("a log");
+            match folder.resumed(&path) {
+                Ok(plan) => assert!(executed == 20 && plan.drawing.vertices.len() < 40),
+                Err(text) => assert!(executed == 40 && text.contains("drawn to its end"), "{text}"),
+            }
+        }
+    }
+
+    #[test]
+    fn a_disk_that_was_away_gets_what_it_is_owed_as_soon_as_it_is_back() {
+        let (folder, path) = (Folder::new("away"), path(40));
+        let mut copy = folder.begin(&path);
+        copy.connected(&welcome());
+        fs::remove_dir_all(&folder.0).expect("the log");
+        fs::write(&folder.0, b"").expect("a file in its place");
+        assert_eq!(copy.draws(), None);
+        assert_eq!(copy.advance(&progress(&path, 5), Duration::from_secs(1)), None);
+        fs::remove_file(&folder.0).expect("the file");
+        let written = copy.advance(&progress(&path, 6), Duration::from_secs(2));
+        assert_eq!(written, Some(Written::Synced));
+        let written = copy.advance(&progress(&path, 7), Duration::from_secs(3));
+        assert_eq!(written, Some(Written::Unsynced));
+    }
+}
