@@ -263,7 +263,9 @@ mod tests {
         let mut task = TrajectoryTask::new(trajectory, orders_out, vertices_out, setpoints_in, reports_in);
         let mut release = |task: &mut TrajectoryTask| {
             task.release();
-            (0..PERIOD_MS).for_each(|_| drop(setpoints.dequeue()));
+            for _ in 0..PERIOD_MS {
+                let _ = setpoints.dequeue();
+            }
             reports.dequeue().expect("a report")
         };
         let mut order = |order: MotionOrder| orders.enqueue(order).expect("room");

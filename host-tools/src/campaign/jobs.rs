@@ -13,7 +13,7 @@ use super::world::World;
 use super::{Failure, LIMIT_MS, Rule, Run};
 use crate::drawing::preparation::wire::from_wire;
 use crate::error::ProgramError;
-use crate::job::error::Phase;
+use crate::job::error::{JobError, Phase};
 use crate::job::history::hash_text;
 use crate::job::logged::{Logged, Written};
 use crate::job::resume::{self, MachineState, ResumePlan, begin_record_in, last_in};
@@ -46,7 +46,7 @@ enum Doing {
     /// It asks for the state of the machine, which it has known since a time, ms.
     Looking { known_ms: Option<u32> },
     /// It draws.
-    Drawing { logged: Logged },
+    Drawing { logged: Box<Logged> },
     /// It ends what the machine still does.
     Resting,
 }
@@ -297,7 +297,9 @@ impl<'e> Desk<'e> {
             }
             job.begin(Task::Draw(logged.plan().drawing.clone()));
         }
-        self.doing = Doing::Drawing { logged };
+        self.doing = Doing::Drawing {
+            logged: Box::new(logged),
+        };
     }
 
     /// The program says that the drawing is drawn.
@@ -349,39 +351,44 @@ impl<'e> Desk<'e> {
             }
             Doing::Resting if outcome.is_some() => self.pause(),
             Doing::Resting => {}
-            Doing::Drawing { logged } => {
-                while let Some(event) = job.next_event() {
-                    if event == JobEvent::Phase(Phase::Drawing) && logged.draws() == Some(Written::Synced) {
-                        self.log.is_synced();
-                    }
-                }
-                let Some(outcome) = outcome else {
-                    if job.status().is_some_and(|status| status.mode == Mode::Holding)
-                        && self.now_ms.is_multiple_of(self.episode.patience_ms.max(1))
-                    {
-                        job.control(Control::Resume);
-                    }
-                    let since_ms = self.now_ms - self.since_ms;
-                    if since_ms.is_multiple_of(PROGRESS_MS) {
-                        let whole = logged.whole(&job.progress());
-                        let written = logged.advance(&whole, Duration::from_millis(since_ms.into()));
-                        if written == Some(Written::Synced) {
-                            self.log.is_synced();
-                        }
-                    }
-                    return;
-                };
-                let text = outcome.map_err(|error| error.to_string());
-                let said = text.as_ref().map(|&()| ()).map_err(String::as_str);
-                // Where the log cannot be written, the program says so; the drawing stays as it is.
-                if logged.end(said, &job.take_report()).is_ok() {
+            Doing::Drawing { .. } => self.watch_drawing(outcome),
+        }
+    }
+
+    /// Keeps the log of the drawing, and takes its end.
+    fn watch_drawing(&mut self, outcome: Option<Result<(), JobError>>) {
+        let (Some(job), Doing::Drawing { logged }) = (&mut self.job, &mut self.doing) else {
+            return;
+        };
+        while let Some(event) = job.next_event() {
+            if event == JobEvent::Phase(Phase::Drawing) && logged.draws() == Some(Written::Synced) {
+                self.log.is_synced();
+            }
+        }
+        let Some(outcome) = outcome else {
+            let is_held = job.status().is_some_and(|status| status.mode == Mode::Holding);
+            if is_held && self.now_ms.is_multiple_of(self.episode.patience_ms.max(1)) {
+                job.control(Control::Resume);
+            }
+            let since_ms = self.now_ms - self.since_ms;
+            if since_ms.is_multiple_of(PROGRESS_MS) {
+                let whole = logged.whole(&job.progress());
+                let written = logged.advance(&whole, Duration::from_millis(since_ms.into()));
+                if written == Some(Written::Synced) {
                     self.log.is_synced();
                 }
-                match outcome {
-                    Ok(()) => self.believe("drawn"),
-                    Err(_) => self.pause(),
-                }
             }
+            return;
+        };
+        let text = outcome.map_err(|error| error.to_string());
+        let said = text.as_ref().map(|&()| ()).map_err(String::as_str);
+        // Where the log cannot be written, the program says so; the drawing stays as it is.
+        if logged.end(said, &job.take_report()).is_ok() {
+            self.log.is_synced();
+        }
+        match outcome {
+            Ok(()) => self.believe("drawn"),
+            Err(_) => self.pause(),
         }
     }
 
