@@ -18,6 +18,17 @@ use crate::trajectory_task::PathItem;
 use heapless::spsc::{Consumer, Producer, Queue};
 use std::boxed::Box;
 
+/// All drives in operation, at rest.
+fn holding() -> CycleReport {
+    CycleReport {
+        valid: [true; AXES],
+        homed: [true; AXES],
+        status_word: [0x0237; AXES],
+        standstill: true,
+        ..CycleReport::default()
+    }
+}
+
 /// A coordinator and the other tasks' ends of its queues.
 struct Tasks {
     coordinator: Coordinator<'static>,
@@ -300,13 +311,7 @@ fn what_the_link_and_the_sampler_drop_is_counted_in_the_status() {
 fn each_drawing_counts_its_vertices_from_0() {
     let mut tasks = Tasks::configured();
     tasks.event(BusEvent::Operational);
-    let mut report = CycleReport {
-        valid: [true; AXES],
-        homed: [true; AXES],
-        status_word: [0x0237; AXES],
-        standstill: true,
-        ..CycleReport::default()
-    };
+    let mut report = holding();
     let mut step = |tasks: &mut Tasks| {
         report.cycle += 10;
         tasks.reports.enqueue(report).unwrap();
@@ -338,13 +343,7 @@ fn what_an_earlier_path_has_executed_is_not_told_of_the_next_one() {
     let mut tasks = Tasks::new();
     assert!(tasks.coordinator.configure(&Config::default()).is_ok());
     tasks.event(BusEvent::Operational);
-    let mut report = CycleReport {
-        valid: [true; AXES],
-        homed: [true; AXES],
-        status_word: [0x0237; AXES],
-        standstill: true,
-        ..CycleReport::default()
-    };
+    let mut report = holding();
     let mut step = |tasks: &mut Tasks, vertex: u32| {
         report.cycle += 10;
         report.setpoint.vertex = vertex;
