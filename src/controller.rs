@@ -42,6 +42,7 @@ pub const USB_RECEIVED_BYTES: usize = 1_025;
 pub const USB_SENT_BYTES: usize = 257;
 
 const _: () = assert!(SETPOINTS > 3 * crate::motion::PERIOD_MS);
+const _: () = assert!(SETPOINTS + 20 <= crate::application::FOLLOWED_MS as usize);
 const _: () = assert!(REPORTS > 2 * crate::motion::PERIOD_MS);
 const _: () = assert!(SENT_BYTES > SENT_AHEAD_BYTES && USB_SENT_BYTES > SENT_AHEAD_BYTES);
 

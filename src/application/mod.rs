@@ -22,6 +22,7 @@ pub use command::{Command, IoRefusal, Refusal};
 pub use condition::{BusCondition, Condition, Progress};
 pub use fault::{Fault, InputCause, PathStopFailure, StopSource};
 pub use mode::Mode;
+pub use step::FOLLOWED_MS;
 
 use crate::motion::MotionCommand;
 use crate::robots::JointAngles;
@@ -78,6 +79,8 @@ pub struct Application {
     recovering_since_ms: Option<u32>,
     cancelling: bool,
     motion_started_ms: u32,
+    /// Since when the trajectory has been at rest with nothing left to do.
+    idle_since_ms: Option<u32>,
     host_silence_max_ms: u16,
     /// Power state last asked of the drives.
     power: Power,
@@ -112,6 +115,7 @@ impl Application {
             recovering_since_ms: None,
             cancelling: false,
             motion_started_ms: 0,
+            idle_since_ms: None,
             host_silence_max_ms: 500,
             power: Power::Off,
             has_configuration: false,
@@ -327,7 +331,7 @@ impl Application {
 
     fn enter_motion(&mut self, mode: Mode) {
         self.mode = mode;
-        self.motion_started_ms = self.now_ms;
+        (self.motion_started_ms, self.idle_since_ms) = (self.now_ms, None);
     }
 
     fn start_move(&mut self, command: MotionCommand) -> Result<(), Refusal> {

@@ -8,6 +8,8 @@ use heapless::Vec;
 
 /// Time until the reports of the other tasks reflect an action, ms.
 pub(super) const SETTLE_MS: u32 = 2;
+/// Longest time from a setpoint's planning until the joints show that they follow it, ms: 40 in the ring, 20 of the drives.
+pub const FOLLOWED_MS: u32 = 60;
 /// Time until the beginning and the result of a search show in the reports, ms.
 pub(super) const SEARCH_BEGINS_MS: u32 = 5;
 /// Time until a reset shows in the drives' status, ms.
@@ -191,8 +193,16 @@ impl Application {
     }
 
     fn step_motion(&mut self, progress: Progress, host_silence_ms: u32) {
-        // The setpoints of the last period are still in the ring when the trajectory is at rest.
-        let at_rest = progress.idle && self.condition.standstill && self.waited_ms(self.motion_started_ms) >= SETTLE_MS;
+        // When the trajectory is at rest, its last setpoints are still in the ring. Joints that stand meanwhile say nothing: the
+        // pen may rest before its last lift.
+        self.idle_since_ms = match progress.idle {
+            true => Some(self.idle_since_ms.unwrap_or(self.now_ms)),
+            false => None,
+        };
+        let is_followed = self
+            .idle_since_ms
+            .is_some_and(|since_ms| self.waited_ms(since_ms) >= FOLLOWED_MS);
+        let at_rest = is_followed && self.condition.standstill && self.waited_ms(self.motion_started_ms) >= SETTLE_MS;
         match self.mode {
             Mode::Homing => self.step_homing(host_silence_ms),
             Mode::Drawing if host_silence_ms > u32::from(self.host_silence_max_ms) => self.hold(),

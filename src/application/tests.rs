@@ -208,6 +208,8 @@ fn a_drawing_ends_in_idle_when_the_path_is_executed() {
         "the last setpoints are still being followed"
     );
     plant.condition.standstill = true;
+    plant.run(FOLLOWED_MS - 10);
+    assert_eq!(plant.mode(), Mode::Drawing, "the pen may rest before its last lift");
     plant.run(1);
     assert_eq!(plant.mode(), Mode::Idle);
 }
@@ -245,7 +247,7 @@ fn cancel_stops_on_the_path_and_returns_to_idle() {
     assert_eq!(plant.mode(), Mode::Stopping);
     plant.progress.idle = true;
     plant.condition.standstill = true;
-    plant.run(1);
+    plant.run(FOLLOWED_MS + 1);
     assert_eq!((plant.mode(), plant.power), (Mode::Idle, Power::On));
 }
 
@@ -493,7 +495,7 @@ fn moves_and_jogs_return_to_idle_when_the_trajectory_rests() {
     let mut plant = Plant::idle();
     plant.order(Command::Pen { pen: Pen::Up }).unwrap();
     assert_eq!(plant.mode(), Mode::Moving);
-    plant.run(50);
+    plant.run(FOLLOWED_MS + 1);
     assert_eq!(plant.mode(), Mode::Idle);
     let position = Position {
         x_mm: 0.0,

@@ -322,7 +322,8 @@ fn each_drawing_counts_its_vertices_from_0() {
     step(&mut tasks);
     assert_eq!(tasks.coordinator.command(Command::Enable), Ok(()));
     for job in 1..=2 {
-        step(&mut tasks);
+        // As long as the last setpoints may be in the ring.
+        (0..8).for_each(|_| step(&mut tasks));
         assert_eq!(tasks.coordinator.mode(), Mode::Idle);
         assert_eq!(tasks.coordinator.command(Command::Draw { job }), Ok(()));
         let refusal = tasks.coordinator.path(&[vertex(900_000)], false).unwrap_err();
@@ -372,7 +373,7 @@ fn what_an_earlier_path_has_executed_is_not_told_of_the_next_one() {
     assert_eq!(moves(&mut tasks, 0, 20), 20);
     assert_eq!(tasks.coordinator.command(Command::Cancel), Ok(()));
     assert_eq!(moves(&mut tasks, 0, 20), 20, "it stays told");
-    step(&mut tasks, 20);
+    (0..8).for_each(|_| step(&mut tasks, 20));
     assert_eq!(tasks.coordinator.mode(), Mode::Idle);
     assert_eq!(tasks.coordinator.command(Command::Draw { job: 1 }), Ok(()));
     assert_eq!(moves(&mut tasks, 1, 20), 0, "a report from before the order was taken");

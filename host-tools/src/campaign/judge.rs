@@ -26,6 +26,8 @@ use std::collections::VecDeque;
 const FRAMES_MAX: usize = 16;
 /// How long the bus needs after a disturbance was put right, ms.
 const AFTER_REPAIR_MS: u64 = 3_000;
+/// Time in which an axis goes back where it was led away by positions that were not true, ms.
+const BACK_MS: u64 = 60;
 /// How long a slave counts as disturbed that refuses its next request, ms.
 const REFUSAL_MS: u64 = 1_000;
 
@@ -365,7 +367,7 @@ impl Judge {
         (self.offered[axis], self.shown[axis]) = (false, false);
         self.inputs.push(Input::Feedback { axis, disturbed: true });
         if let Some(lasts_ms) = lasts_ms {
-            self.ends_after(now_ms, lasts_ms, Input::Feedback { axis, disturbed: false });
+            self.ends_after(now_ms, lasts_ms + BACK_MS, Input::Feedback { axis, disturbed: false });
         }
     }
 

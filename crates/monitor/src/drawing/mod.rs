@@ -48,8 +48,9 @@ struct Asked {
     job: u16,
     /// Orders of this number that are not answered.
     orders: u32,
-    /// Where the tool was when it was ordered first, mm.
+    /// Where the tool was when it was ordered first, mm, and how far false feedback may have led it away since, mm.
     at: Option<Vector>,
+    astray_mm: f64,
     /// Its vertices so far: place in the path, position in mm, whether the pen is down.
     path: Vec<(u32, Vector, bool)>,
     /// What the pen has touched since: the answer may come later than the first ink, mm.
@@ -81,6 +82,8 @@ pub(crate) struct Drawing {
     singles: [Option<(Command, Leg)>; SINGLES_MAX],
     single: usize,
     ink: Ink,
+    /// How far from its first leg's beginning the tool may have been led before it began, mm.
+    astray_mm: f64,
     /// Whether the ink may be elsewhere than ordered.
     pub(crate) was_disturbed: bool,
     /// Whether this drawing has been reported as finished, and whether that was in this millisecond.
@@ -107,6 +110,7 @@ impl Drawing {
             singles: [None; SINGLES_MAX],
             single: 0,
             ink: Ink::new(),
+            astray_mm: 0.0,
             was_disturbed: false,
             is_told: false,
             is_finished_now: false,
@@ -164,6 +168,7 @@ impl Drawing {
             job,
             orders: 1,
             at: tool,
+            astray_mm: 0.0,
             path: Vec::new(),
             ink: Vec::new(),
         });
@@ -254,7 +259,7 @@ impl Drawing {
     /// A drawing was accepted and begins.
     fn begin(&mut self, cell: &Cell, bounds: &Bounds, asked: Asked) {
         (self.job, self.unanswered) = (Some(asked.job), None);
-        self.end = asked.at;
+        (self.end, self.astray_mm) = (asked.at, asked.astray_mm);
         self.legs.clear();
         self.grid.clear();
         self.long.clear();
@@ -366,9 +371,14 @@ impl Drawing {
 
     /// Finds the tool on the path; `more_mm` widens the tolerances.
     pub(crate) fn locate(&mut self, cell: &Cell, bounds: &Bounds, tool: &Vector, more_mm: f64) -> Place {
+        for asked in [&mut self.next, &mut self.replaced].into_iter().flatten() {
+            asked.astray_mm = asked.astray_mm.max(more_mm);
+        }
         let mut off_squared = f64::INFINITY;
         let mut found = self.cursor;
-        let tolerance = |leg: &Leg| {
+        let astray_mm = more_mm.max(self.astray_mm);
+        let tolerance = |number: usize, leg: &Leg| {
+            let more_mm = if number == 0 { astray_mm } else { more_mm };
             more_mm
                 + if leg.pen_down {
                     bounds.drawn_mm
@@ -376,11 +386,11 @@ impl Drawing {
                     bounds.travel_mm
                 }
         };
-        let widest_mm = more_mm + bounds.travel_mm.max(bounds.drawn_mm);
+        let widest_mm = astray_mm + bounds.travel_mm.max(bounds.drawn_mm);
         let is_on_leg = self.any_leg(tool, widest_mm, |number, leg| {
             let squared = leg.distance_squared(tool);
             off_squared = off_squared.min(squared);
-            let tolerance = tolerance(leg);
+            let tolerance = tolerance(number, leg);
             let is_near = squared <= tolerance * tolerance;
             if is_near {
                 found = number;
@@ -392,7 +402,9 @@ impl Drawing {
         let is_on_path = is_on_leg
             || self.legs.is_empty()
             || self.is_too_much
-            || self.any_leg(tool, widest_mm, |_, leg| leg.is_lifted(tool, lift_mm, tolerance(leg)));
+            || self.any_leg(tool, widest_mm, |number, leg| {
+                leg.is_lifted(tool, lift_mm, tolerance(number, leg))
+            });
         self.cursor = found;
         Place {
             is_on_path,
