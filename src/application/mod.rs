@@ -78,9 +78,8 @@ pub struct Application {
     stop: Option<Stop>,
     recovering_since_ms: Option<u32>,
     cancelling: bool,
-    motion_started_ms: u32,
-    /// Since when the trajectory has been at rest with nothing left to do.
-    idle_since_ms: Option<u32>,
+    /// When a motion was ordered, or the trajectory or the search last had something to do.
+    moved_ms: u32,
     host_silence_max_ms: u16,
     /// Power state last asked of the drives.
     power: Power,
@@ -114,8 +113,7 @@ impl Application {
             stop: None,
             recovering_since_ms: None,
             cancelling: false,
-            motion_started_ms: 0,
-            idle_since_ms: None,
+            moved_ms: 0,
             host_silence_max_ms: 500,
             power: Power::Off,
             has_configuration: false,
@@ -331,7 +329,7 @@ impl Application {
 
     fn enter_motion(&mut self, mode: Mode) {
         self.mode = mode;
-        (self.motion_started_ms, self.idle_since_ms) = (self.now_ms, None);
+        self.moved_ms = self.now_ms;
     }
 
     fn start_move(&mut self, command: MotionCommand) -> Result<(), Refusal> {

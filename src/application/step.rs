@@ -181,9 +181,9 @@ impl Application {
             self.act(Action::EndSearch);
         }
         if self.condition.searching {
-            self.motion_started_ms = self.now_ms;
+            self.moved_ms = self.now_ms;
         }
-        if !self.condition.searching && self.waited_ms(self.motion_started_ms) > SEARCH_BEGINS_MS {
+        if !self.condition.searching && self.waited_ms(self.moved_ms) > SEARCH_BEGINS_MS {
             self.mode = match self.condition.unreferenced {
                 None => Mode::Idle,
                 Some(_) => Mode::Unreferenced,
@@ -195,14 +195,10 @@ impl Application {
     fn step_motion(&mut self, progress: Progress, host_silence_ms: u32) {
         // When the trajectory is at rest, its last setpoints are still in the ring. Joints that stand meanwhile say nothing: the
         // pen may rest before its last lift.
-        self.idle_since_ms = match progress.idle {
-            true => Some(self.idle_since_ms.unwrap_or(self.now_ms)),
-            false => None,
-        };
-        let is_followed = self
-            .idle_since_ms
-            .is_some_and(|since_ms| self.waited_ms(since_ms) >= FOLLOWED_MS);
-        let at_rest = is_followed && self.condition.standstill && self.waited_ms(self.motion_started_ms) >= SETTLE_MS;
+        if !progress.idle && self.mode != Mode::Homing {
+            self.moved_ms = self.now_ms;
+        }
+        let at_rest = progress.idle && self.condition.standstill && self.waited_ms(self.moved_ms) >= FOLLOWED_MS;
         match self.mode {
             Mode::Homing => self.step_homing(host_silence_ms),
             Mode::Drawing if host_silence_ms > u32::from(self.host_silence_max_ms) => self.hold(),

@@ -208,7 +208,7 @@ fn a_drawing_ends_in_idle_when_the_path_is_executed() {
         "the last setpoints are still being followed"
     );
     plant.condition.standstill = true;
-    plant.run(FOLLOWED_MS - 10);
+    plant.run(FOLLOWED_MS - 11);
     assert_eq!(plant.mode(), Mode::Drawing, "the pen may rest before its last lift");
     plant.run(1);
     assert_eq!(plant.mode(), Mode::Idle);

@@ -72,7 +72,6 @@ pub(super) struct Key {
     stop: (u8, u8),
     recovering: Option<u8>,
     motion: u8,
-    resting: Option<u8>,
     flags: [bool; 14],
     power: u8,
     epochs: [Option<bool>; 2],
@@ -148,16 +147,8 @@ impl State {
         }
     }
 
-    /// Whether the mode ends when the robot is at rest.
-    fn moves(&self) -> bool {
-        matches!(
-            self.application.mode,
-            Mode::Moving | Mode::Drawing | Mode::Holding | Mode::Stopping
-        )
-    }
-
     /// The timers with their thresholds, ms: waiting times at which something happens.
-    fn timers(&self) -> [(Option<u32>, &'static [u32]); 5] {
+    fn timers(&self) -> [(Option<u32>, &'static [u32]); 4] {
         let application = &self.application;
         let enabling = match application.enabling {
             Enabling::No => (None, [].as_slice()),
@@ -174,18 +165,20 @@ impl State {
             application.recovering_since_ms,
             [RESET_MS, RECOVERY_MAX_MS + 1].as_slice(),
         );
-        let moves = self.moves();
+        let moves = matches!(
+            application.mode,
+            Mode::Moving | Mode::Drawing | Mode::Holding | Mode::Stopping
+        );
         let motion = match application.mode {
-            Mode::Homing => (Some(application.motion_started_ms), [SEARCH_BEGINS_MS + 1].as_slice()),
-            _ => (moves.then_some(application.motion_started_ms), [SETTLE_MS].as_slice()),
+            Mode::Homing => (Some(application.moved_ms), [SEARCH_BEGINS_MS + 1].as_slice()),
+            _ => (moves.then_some(application.moved_ms), [FOLLOWED_MS].as_slice()),
         };
-        let resting = (application.idle_since_ms.filter(|_| moves), [FOLLOWED_MS].as_slice());
-        [enabling, stop, recovering, motion, resting]
+        [enabling, stop, recovering, motion]
     }
 
     pub(super) fn key(&self) -> Key {
-        let (application, moves) = (&self.application, self.moves());
-        let [enabling, stop, recovering, motion, resting] = self.timers().map(|(since_ms, thresholds)| {
+        let application = &self.application;
+        let [enabling, stop, recovering, motion] = self.timers().map(|(since_ms, thresholds)| {
             since_ms.map_or(0, |since_ms| passed(thresholds, self.now_ms.wrapping_sub(since_ms)))
         });
         let condition = &self.condition;
@@ -216,7 +209,6 @@ impl State {
             ),
             recovering: application.recovering_since_ms.map(|_| recovering),
             motion,
-            resting: (moves && application.idle_since_ms.is_some()).then_some(resting),
             flags: [
                 application.cancelling,
                 application.has_configuration,

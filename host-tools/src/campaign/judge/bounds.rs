@@ -12,7 +12,7 @@ use etherpen_monitor as monitor;
 const FOLLOWING_MM: f64 = 0.3;
 const FOLLOWING_BY_TORQUE_MM: f64 = 1.3;
 /// How far the pen may be beside its line in velocity mode, in addition to the tolerance and to what its acceleration
-/// explains, while nothing is disturbed, mm. The most that 50 robot hours have shown was 0.0215 (a gantry at 5 m/s2 without a jerk
+/// explains, while nothing is disturbed, mm. The most that 50 robot hours have shown was 0.0215 (5 m/s2 without a jerk
 /// window, with one telegram for both directions).
 const UNDISTURBED_MM: f64 = 0.025;
 /// By which part of its speed the tool may exceed it in velocity and in torque mode.
