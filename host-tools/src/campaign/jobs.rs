@@ -90,6 +90,8 @@ struct Desk<'e> {
     inked: usize,
     /// Whether the drawing on this sheet is in the log; then a person resumes.
     has_begun: bool,
+    /// Whether an end of a drawing could not be written: a person who was told so does not go on with that drawing on an empty sheet.
+    is_end_unwritten: bool,
     next_event: usize,
     /// The time at which everything is over at the latest, ms; known once everything is healed.
     over_ms: Option<u32>,
@@ -138,6 +140,7 @@ impl<'e> Desk<'e> {
             was_stopped: false,
             inked: 0,
             has_begun: false,
+            is_end_unwritten: false,
             next_event: 0,
             over_ms: None,
             now_ms: 0,
@@ -224,7 +227,7 @@ impl<'e> Desk<'e> {
 
     /// What is to be done with a machine whose state the program knows.
     fn decide(&self) -> Result<Next, String> {
-        if !self.has_begun {
+        if !self.has_begun || self.is_end_unwritten && self.is_empty() {
             return Ok(Next::Anew);
         }
         let Some(job) = &self.job else { return Ok(Next::Wait) };
@@ -383,8 +386,9 @@ impl<'e> Desk<'e> {
         let text = outcome.map_err(|error| error.to_string());
         let said = text.as_ref().map(|&()| ()).map_err(String::as_str);
         // Where the log cannot be written, the program says so; the drawing stays as it is.
-        if logged.end(said, &job.take_report()).is_ok() {
-            self.log.is_synced();
+        match logged.end(said, &job.take_report()) {
+            Ok(()) => self.log.is_synced(),
+            Err(_) => self.is_end_unwritten = true,
         }
         match outcome {
             Ok(()) => self.believe("drawn"),
