@@ -17,7 +17,7 @@ use crate::job::error::{JobError, Phase};
 use crate::job::history::hash_text;
 use crate::job::logged::{Logged, Written};
 use crate::job::resume::{self, MachineState, ResumePlan, begin_record_in, last_in};
-use crate::job::{Control, Job, JobEvent, JobOptions, Task, path_hash};
+use crate::job::{Control, Job, JobEvent, JobOptions, Ready, Task, path_hash};
 use crate::link::port::PortName;
 use crate::planning::planned_s;
 use crate::simulation::{self, Host, Surroundings};
@@ -47,8 +47,8 @@ enum Doing {
     Looking { known_ms: Option<u32> },
     /// It draws.
     Drawing { logged: Box<Logged> },
-    /// It ends what the machine still does.
-    Resting,
+    /// It ends what the machine still does, or homes it.
+    Preparing,
 }
 
 /// What a person does next.
@@ -261,7 +261,7 @@ impl<'e> Desk<'e> {
                 if let Some(job) = &mut self.job {
                     job.begin(Task::Rest);
                 }
-                self.doing = Doing::Resting;
+                self.doing = Doing::Preparing;
             }
             Next::Wait => self.pause(),
             // An earlier copy is meant.
@@ -338,7 +338,7 @@ impl<'e> Desk<'e> {
         let lost = job.broken().is_some();
         match &mut self.doing {
             Doing::Nothing { .. } => {}
-            Doing::Looking { .. } | Doing::Resting if lost => self.pause(),
+            Doing::Looking { .. } | Doing::Preparing if lost => self.pause(),
             Doing::Looking { known_ms } => {
                 if outcome.is_none() {
                     return;
@@ -352,8 +352,8 @@ impl<'e> Desk<'e> {
                     Err(text) => self.fail(Rule::Episode, text),
                 }
             }
-            Doing::Resting if outcome.is_some() => self.pause(),
-            Doing::Resting => {}
+            Doing::Preparing if outcome.is_some() => self.pause(),
+            Doing::Preparing => {}
             Doing::Drawing { .. } => self.watch_drawing(outcome),
         }
     }
@@ -392,6 +392,10 @@ impl<'e> Desk<'e> {
         }
         match outcome {
             Ok(()) => self.believe("drawn"),
+            Err(JobError::NotReferenced) if self.config.has_home_switches() => {
+                job.begin(Task::Prepare(Ready::Homed));
+                self.doing = Doing::Preparing;
+            }
             Err(_) => self.pause(),
         }
     }
