@@ -23,7 +23,8 @@ use crate::planning::planned_s;
 use crate::simulation::{self, Host, Surroundings};
 use etherpen::application::Mode;
 use etherpen::config::Config;
-use etherpen::messages::PathVertex;
+use etherpen::messages::{Command, PathVertex};
+use etherpen::robots::JointAngles;
 use log::Log;
 use std::path::Path;
 use std::time::Duration;
@@ -392,8 +393,13 @@ impl<'e> Desk<'e> {
         }
         match outcome {
             Ok(()) => self.believe("drawn"),
-            Err(JobError::NotReferenced) if self.config.has_home_switches() => {
-                job.begin(Task::Prepare(Ready::Homed));
+            Err(JobError::NotReferenced) => {
+                // Without switches, a person measures where the robot is.
+                let pose = JointAngles(self.world.truth().angles_rad);
+                job.begin(match self.config.has_home_switches() {
+                    true => Task::Prepare(Ready::Homed),
+                    false => Task::Tell(Command::HomeAt { pose, position: None }),
+                });
                 self.doing = Doing::Preparing;
             }
             Err(_) => self.pause(),
