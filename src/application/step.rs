@@ -8,7 +8,7 @@ use heapless::Vec;
 
 /// Time until the reports of the other tasks reflect an action, ms.
 pub(super) const SETTLE_MS: u32 = 2;
-/// Longest time from a setpoint's planning until the joints show that they follow it, ms: 40 in the ring, 20 of the drives.
+/// Time from a setpoint's planning until joints that stand have followed it, ms: 40 in the ring, 20 until a standstill is seen.
 pub const FOLLOWED_MS: u32 = 60;
 /// Time until the beginning and the result of a search show in the reports, ms.
 pub(super) const SEARCH_BEGINS_MS: u32 = 5;

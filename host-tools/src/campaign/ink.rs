@@ -30,7 +30,7 @@ pub(super) fn compare(
     paper: &Paper,
     limit_mm: f64,
 ) -> Result<(), String> {
-    is_whole(ink, from, path, paper, limit_mm)?;
+    check_whole(ink, from, path, paper, limit_mm)?;
     let (lines, drawn) = (lines(path, paper), segments(ink, from));
     let stood = last_before(ink, from);
     let is_compared = |end: Point| stood.is_none_or(|stood| distance(stood, end) > limit_mm);
@@ -51,11 +51,11 @@ pub(super) fn is_empty(ink: &[InkStroke], from: usize, limit_mm: f64) -> bool {
     segments(ink, from).iter().all(|segment| is_there(segment[1]))
 }
 
-/// Whether there is ink behind the first `from` points within `limit_mm` of the lines of a path that are drawn.
+/// Looks for ink behind the first `from` points within `limit_mm` of the lines of a path that are drawn.
 ///
 /// # Errors
 /// A line without ink.
-pub(super) fn is_whole(
+pub(super) fn check_whole(
     ink: &[InkStroke],
     from: usize,
     path: &[PathVertex],

@@ -91,6 +91,8 @@ struct Desk<'e> {
     inked: usize,
     /// Whether the drawing on this sheet is in the log; then a person resumes.
     has_begun: bool,
+    /// Whether the board has begun to draw on this sheet.
+    has_drawn: bool,
     /// Whether an end of a drawing could not be written: a person who was told so does not go on with that drawing on an empty sheet.
     is_end_unwritten: bool,
     next_event: usize,
@@ -141,6 +143,7 @@ impl<'e> Desk<'e> {
             was_stopped: false,
             inked: 0,
             has_begun: false,
+            has_drawn: false,
             is_end_unwritten: false,
             next_event: 0,
             over_ms: None,
@@ -266,7 +269,7 @@ impl<'e> Desk<'e> {
             }
             Next::Wait => self.pause(),
             // An earlier copy is meant.
-            Next::Believe if self.is_empty() => self.act(Next::Anew),
+            Next::Believe if !self.has_drawn && self.is_empty() => self.act(Next::Anew),
             Next::Believe => self.believe("nothing is left to draw"),
         }
     }
@@ -289,12 +292,12 @@ impl<'e> Desk<'e> {
 
     fn new_sheet(&mut self) {
         self.inked = self.points();
-        self.was_stopped = self.stop_shows_open();
+        (self.was_stopped, self.has_drawn) = (self.stop_shows_open(), false);
     }
 
     fn draw(&mut self, plan: ResumePlan) {
         let mut logged = Logged::begin(&self.config, self.path(), plan);
-        self.log.is_synced();
+        self.log.note_synced();
         if let Some(job) = &mut self.job {
             if let Some(welcome) = job.welcome() {
                 logged.connected(&welcome.clone());
@@ -309,7 +312,11 @@ impl<'e> Desk<'e> {
     /// The program says that the drawing is drawn.
     fn believe(&mut self, said: &str) {
         let (inked, limit_mm, paper) = (self.inked, ink_limit_mm(&self.config), self.config.paper);
-        let compare = if self.was_stopped { ink::is_whole } else { ink::compare };
+        let compare = if self.was_stopped {
+            ink::check_whole
+        } else {
+            ink::compare
+        };
         let path = self.path();
         let verdict = self
             .world
@@ -365,8 +372,12 @@ impl<'e> Desk<'e> {
             return;
         };
         while let Some(event) = job.next_event() {
-            if event == JobEvent::Phase(Phase::Drawing) && logged.draws() == Some(Written::Synced) {
-                self.log.is_synced();
+            if event != JobEvent::Phase(Phase::Drawing) {
+                continue;
+            }
+            (self.has_drawn, self.is_end_unwritten) = (true, false);
+            if logged.draws() == Some(Written::Synced) {
+                self.log.note_synced();
             }
         }
         let Some(outcome) = outcome else {
@@ -379,7 +390,7 @@ impl<'e> Desk<'e> {
                 let whole = logged.whole(&job.progress());
                 let written = logged.advance(&whole, Duration::from_millis(since_ms.into()));
                 if written == Some(Written::Synced) {
-                    self.log.is_synced();
+                    self.log.note_synced();
                 }
             }
             return;
@@ -388,7 +399,7 @@ impl<'e> Desk<'e> {
         let said = text.as_ref().map(|&()| ()).map_err(String::as_str);
         // Where the log cannot be written, the program says so; the drawing stays as it is.
         match logged.end(said, &job.take_report()) {
-            Ok(()) => self.log.is_synced(),
+            Ok(()) => self.log.note_synced(),
             Err(_) => self.is_end_unwritten = true,
         }
         match outcome {

@@ -2,7 +2,7 @@
 //! resumed.
 //!
 //! Under `$XDG_STATE_HOME/etherpen/jobs` (`~/.local/state/etherpen/jobs`). A file is replaced as a whole or not at all.
-//! Its beginning, the moment before its first ink and its end are synced; the progress in between is not, so a slow disk causes no
+//! It is synced at its beginning, when the board begins to draw, and at its end; the progress in between is not, so a slow disk causes no
 //! delay. Its last line has a
 //! hash of the lines before it: a damaged number would let a drawing go on at another place.
 //!
@@ -59,7 +59,7 @@ pub struct HistoryEntry {
     pub missing_from: Option<u32>,
     /// Vertices of the path.
     pub vertices: u32,
-    /// Strokes started.
+    /// Strokes started; the first counts as started as soon as the board begins to draw.
     pub strokes: u32,
     /// Strokes of the path.
     pub strokes_total: u32,
@@ -74,12 +74,10 @@ pub struct HistoryEntry {
 }
 
 impl HistoryEntry {
-    /// Whether it may have drawn anything. A power cut may leave the entry as it was when the board began to draw: then it names
-    /// the board, and has no result.
+    /// Whether it may have drawn anything.
     #[must_use]
     pub fn may_have_ink(&self) -> bool {
-        let is_cut_off = self.result.is_none() && !self.board.is_empty();
-        self.completed || self.strokes > 0 || is_cut_off
+        self.completed || self.strokes > 0
     }
 
     /// Takes the progress along the complete path.

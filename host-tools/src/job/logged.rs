@@ -31,14 +31,14 @@ pub struct Logged {
     updated: Duration,
     /// Whether the disk is to know, and does not, that the board draws.
     is_owed: bool,
-    /// Whether there may have been ink before.
-    had_ink: bool,
+    /// Whether there may be ink: the first stroke counts as started.
+    may_have_ink: bool,
 }
 
 impl Logged {
-    /// Begins to draw what `plan` says of `path`, or goes on with it.
+    /// Opens the entry of what `plan` says of `path`.
     pub fn begin(config: &Config, path: &[PathVertex], mut plan: ResumePlan) -> Self {
-        let had_ink = plan.record.as_ref().is_some_and(|record| record.entry.may_have_ink());
+        let may_have_ink = plan.record.as_ref().is_some_and(|record| record.entry.may_have_ink());
         if let Some(record) = &mut plan.record {
             record.entry.number = plan.drawing.number;
             record.entry.result = None;
@@ -49,7 +49,7 @@ impl Logged {
             plan,
             updated: Duration::ZERO,
             is_owed: false,
-            had_ink,
+            may_have_ink,
         }
     }
 
@@ -65,9 +65,11 @@ impl Logged {
         }
     }
 
-    /// Notes that the board begins to draw, before there is ink; returns what was written.
+    /// Notes that the board begins to draw; returns what was written.
     pub fn draws(&mut self) -> Option<Written> {
-        self.is_owed = true;
+        (self.is_owed, self.may_have_ink) = (true, true);
+        let record = self.plan.record.as_mut()?;
+        record.entry.strokes = record.entry.strokes.max(1);
         self.write()
     }
 
@@ -92,6 +94,7 @@ impl Logged {
     pub fn advance(&mut self, progress: &Progress, now: Duration) -> Option<Written> {
         let record = self.plan.record.as_mut()?;
         record.entry.progress(progress);
+        record.entry.strokes = record.entry.strokes.max(self.may_have_ink.into());
         record.entry.drawn_s = self.plan.drawn_before_s + progress.elapsed_s;
         if now < self.updated + UPDATE {
             return None;
@@ -126,10 +129,7 @@ impl Logged {
             record.entry.progress(&whole);
         }
         record.entry.drawn_s = self.plan.drawn_before_s + report.drawn_s;
-        if self.had_ink && !record.entry.may_have_ink() {
-            // This attempt has drawn nothing; the one before was cut off.
-            record.entry.result = None;
-        }
+        record.entry.strokes = record.entry.strokes.max(self.may_have_ink.into());
         record.save()
     }
 }
@@ -240,8 +240,18 @@ mod tests {
                     path[..]
                 );
             }
-            // What was ordered and ended before it drew is no copy.
+            // A copy that began to draw and ended before it reported progress is one too.
             fs::remove_file(&file).expect("the entry");
+            let mut begun = folder.begin(&path);
+            begun.connected(&welcome());
+            begun.draws();
+            begun.end(Err("lost"), &JobReport::default()).expect("a log");
+            assert_eq!(
+                folder.resumed(&path).expect("it goes on").drawing.vertices[..],
+                path[..]
+            );
+            fs::remove_file(folder.newest().0).expect("the entry");
+            // What was ordered and ended before it drew is none.
             let mut refused = folder.begin(&path);
             refused.connected(&welcome());
             refused.end(Err("refused"), &JobReport::default()).expect("a log");

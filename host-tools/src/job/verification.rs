@@ -474,9 +474,13 @@ impl Verifier {
         }
         if !first.is_after_gap {
             let reached_mm = self.reached_mm;
-            // Inside a line, the step from the last piece to this one.
-            let step_mm = self.speed_mm_s * f64::from(first.passed_ms) / 1_000.0;
-            let skipped_mm = if piece.begins { END_MM } else { END_MM.max(step_mm) };
+            // Inside a line, the step of a millisecond from the last piece to this one.
+            let is_next = !piece.begins && first.passed_ms == 1;
+            let skipped_mm = if is_next {
+                END_MM.max(self.speed_mm_s / 1_000.0)
+            } else {
+                END_MM
+            };
             let is_close = stroke.begin_mm + begin_mm - reached_mm <= skipped_mm;
             let parts = if is_close && near[0] {
                 &mut self.result.followed

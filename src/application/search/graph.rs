@@ -5,7 +5,7 @@
 
 extern crate std;
 
-use super::super::step::{RESET_MS, SETTLE_MS};
+use super::super::step::{FOLLOWED_MS, RESET_MS, SETTLE_MS};
 use super::super::*;
 use super::world::Move;
 use super::{COMMANDS_MAX, FOUND, Found, WAY_MAX_MS};
@@ -222,7 +222,8 @@ stays latched until `Acknowledge` has succeeded or a configuration was accepted.
 | brakes closing before the power is taken | {} ms |
 | drives following a change of their power; angles after `Home` | {} ms |
 | bus and drives after `Acknowledge` (a drive's reset needs {RESET_MS} ms) | {} ms |
-| reports of the other tasks following an action | {SETTLE_MS} ms |
+| joints following the last setpoint, before a motion counts as ended | {FOLLOWED_MS} ms |
+| reports of the other tasks following a homing | {SETTLE_MS} ms |
 | from any state to `Idle`, once nothing fails any more, with at most {COMMANDS_MAX} commands of the operator | {} ms |
 ",
         thousands(STANDSTILL_MAX_MS as usize),

@@ -43,7 +43,7 @@ pub(super) fn befall(episode: &mut Episode, usual: &etherpen::config::MotionLimi
         // What the machine holds is ended before the next program comes.
         if ends_program && chance.one_in(3) {
             let what = What::StopInput(20 + chance.milliseconds(500));
-            let at_ms = at_ms + chance.milliseconds(1_000);
+            let at_ms = (at_ms + chance.milliseconds(1_000)).min(episode.duration_ms);
             episode.events.push(Event { at_ms, what });
         }
     }

@@ -227,6 +227,7 @@ pub(super) fn what(chance: &mut Chance, machine: &Machine, profile: Profile) -> 
             2 => What::PortDown(chance.milliseconds(2_000)),
             _ => What::StopInput(chance.milliseconds(2_000)),
         },
+        // The events of `Files` are mishaps; `All` and `Quiet` were replaced above.
         Profile::Operator | Profile::Files | Profile::All | Profile::Quiet if chance.one_in(2) => {
             What::Beside(command(chance, machine))
         }

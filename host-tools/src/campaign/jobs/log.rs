@@ -64,8 +64,8 @@ impl Log {
             .max()
     }
 
-    /// The newest entry has come to the disk.
-    pub(super) fn is_synced(&mut self) {
+    /// Notes that the newest entry has come to the disk.
+    pub(super) fn note_synced(&mut self) {
         self.synced = self
             .newest()
             .and_then(|path| Some((path.clone(), fs::read(path).ok()?)));
