@@ -375,7 +375,9 @@ impl<'e> Desk<'e> {
             if event != JobEvent::Phase(Phase::Drawing) {
                 continue;
             }
-            (self.has_drawn, self.is_end_unwritten) = (true, false);
+            self.has_drawn = true;
+            // A newer entry has ink from now on.
+            self.is_end_unwritten &= !self.has_begun;
             if logged.draws() == Some(Written::Synced) {
                 self.log.note_synced();
             }
