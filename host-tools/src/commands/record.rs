@@ -168,9 +168,8 @@ fn source(config: &Config, port: &PortName) -> Result<Source, ProgramError> {
         eprintln!("through {}", client.owner());
         return Ok(Source::follow(client)?);
     }
-    let machine = Machine::start(port.clone(), config.clone(), MachineOptions::default())
+    let (machine, news) = Machine::start_with_news(port.clone(), config.clone(), MachineOptions::default(), NEWS_MAX)
         .map_err(|cause| ProgramError::new(code::CONNECTION, cause))?;
-    let news = machine.subscribe(NEWS_MAX);
     Ok(Source::Own(machine, news))
 }
 

@@ -293,12 +293,35 @@ impl Machine {
     /// # Errors
     /// The port is in use by another program, or cannot be opened.
     pub fn start(port: PortName, config: Config, options: MachineOptions) -> Result<Self, PortError> {
+        Self::start_sharing(port, config, options, Arc::default())
+    }
+
+    /// Like [`start`](Self::start), with all the news since then; at most `capacity` of them wait.
+    ///
+    /// # Errors
+    /// The port is in use by another program, or cannot be opened.
+    pub fn start_with_news(
+        port: PortName,
+        config: Config,
+        options: MachineOptions,
+        capacity: usize,
+    ) -> Result<(Self, Subscription), PortError> {
+        let shared = Arc::<Shared>::default();
+        let news = shared.subscribers.subscribe(capacity);
+        Ok((Self::start_sharing(port, config, options, shared)?, news))
+    }
+
+    fn start_sharing(
+        port: PortName,
+        config: Config,
+        options: MachineOptions,
+        shared: Arc<Shared>,
+    ) -> Result<Self, PortError> {
         let ownership = port::own(&port)?;
         let opened = match Port::open_owned(&port, ownership.clone()) {
             Err(error) if !options.patient => return Err(error),
             opened => opened,
         };
-        let shared = Arc::new(Shared::default());
         let (lanes, taken) = lanes::lanes();
         let work = Work::new(config, options, shared.clone());
         let thread = std::thread::Builder::new().name("machine".into()).spawn({
