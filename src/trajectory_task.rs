@@ -30,6 +30,13 @@ pub enum MotionOrder {
     Command(MotionCommand),
 }
 
+impl MotionOrder {
+    /// Whether [`MotionReport::orders`] counts the order. An override moves nothing, so nothing waits for it.
+    pub(crate) fn is_counted(&self) -> bool {
+        !matches!(self, Self::Command(MotionCommand::Override(_)))
+    }
+}
+
 /// An item of the path for the trajectory task.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum PathItem {
@@ -56,7 +63,7 @@ pub struct MotionReport {
     pub starvations: u32,
     /// Releases that found the ring empty: the previous release was too late.
     pub overruns: u32,
-    /// Number of orders taken so far; a report reflects the orders that it counts.
+    /// Number of orders taken so far, without overrides; a report reflects the orders that it counts.
     pub orders: u32,
 }
 
@@ -124,7 +131,7 @@ impl<'a> TrajectoryTask<'a> {
     /// One release.
     pub fn release(&mut self) {
         while let Some(order) = self.orders.dequeue() {
-            self.orders_taken = self.orders_taken.wrapping_add(1);
+            self.orders_taken = self.orders_taken.wrapping_add(u32::from(order.is_counted()));
             self.take_order(order);
         }
         if !self.configured {
@@ -261,7 +268,7 @@ mod tests {
         let (setpoints_in, mut setpoints) = queue::<Queued, 64>();
         let (reports_in, mut reports) = queue::<_, 4>();
         let mut task = TrajectoryTask::new(trajectory, orders_out, vertices_out, setpoints_in, reports_in);
-        let mut release = |task: &mut TrajectoryTask| {
+        let mut release = |task: &mut TrajectoryTask, reports: &mut Consumer<'static, MotionReport>| {
             task.release();
             for _ in 0..PERIOD_MS {
                 let _ = setpoints.dequeue();
@@ -278,24 +285,34 @@ mod tests {
         let pose = JointAngles([first, second, third, 0.0]);
         order(MotionOrder::Configure(settings));
         order(MotionOrder::Place { pose, epoch: 1 });
-        release(&mut task);
-        order(MotionOrder::BeginPath);
-        for number in 1..=20 {
-            let vertex = Vertex {
-                position: at(f64::from(number)),
-                pen: Pen::Up,
-                stroke: 0,
-            };
-            vertices.enqueue(PathItem::Vertex(vertex)).expect("room");
+        release(&mut task, &mut reports);
+        for (from, count) in [(0, 20), (20, 30)] {
+            order(MotionOrder::BeginPath);
+            for number in 1..=count {
+                let vertex = Vertex {
+                    position: at(f64::from(from + number)),
+                    pen: Pen::Up,
+                    stroke: 0,
+                };
+                vertices.enqueue(PathItem::Vertex(vertex)).expect("room");
+            }
+            vertices.enqueue(PathItem::End).expect("room");
+            // The path starts while the ring is still full of the rest before it.
+            task.release();
+            let started = reports.dequeue().expect("a report");
+            assert_eq!((started.executed, started.idle), (0, false));
+            let done = (0..500)
+                .map(|_| release(&mut task, &mut reports))
+                .find(|report| report.finished);
+            assert_eq!(done.expect("it is executed").executed, count);
+            task.release();
+            reports.dequeue();
         }
-        vertices.enqueue(PathItem::End).expect("room");
-        let done = (0..500).map(|_| release(&mut task)).find(|report| report.finished);
-        assert_eq!(done.expect("it is executed").executed, 20);
         order(MotionOrder::BeginPath);
-        assert_eq!(release(&mut task).executed, 0);
+        assert_eq!(release(&mut task, &mut reports).executed, 0);
         order(MotionOrder::Abandon);
         assert_eq!(
-            release(&mut task).executed,
+            release(&mut task, &mut reports).executed,
             0,
             "the path that was dropped has executed nothing"
         );

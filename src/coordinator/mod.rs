@@ -347,8 +347,9 @@ impl<'a> Coordinator<'a> {
 
     fn tell_trajectory(&mut self, order: MotionOrder) {
         // The trajectory task empties its queue every 12 ms; commands come from a person or a host's job.
+        let counted = u32::from(order.is_counted());
         if self.ends.motion_orders.enqueue(order).is_ok() {
-            self.orders_sent = self.orders_sent.wrapping_add(1);
+            self.orders_sent = self.orders_sent.wrapping_add(counted);
         }
     }
 }

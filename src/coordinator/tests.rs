@@ -378,8 +378,41 @@ fn what_an_earlier_path_has_executed_is_not_told_of_the_next_one() {
     assert_eq!(tasks.coordinator.command(Command::Draw { job: 1 }), Ok(()));
     assert_eq!(moves(&mut tasks, 1, 20), 0, "a report from before the order was taken");
     assert_eq!(moves(&mut tasks, 0, 3), 3);
-    assert_eq!(tasks.coordinator.command(Command::Override { percent: 50 }), Ok(()));
+    assert_eq!(tasks.coordinator.command(Command::Hold), Ok(()));
     assert_eq!(moves(&mut tasks, 1, 4), 4, "another order changes nothing");
+}
+
+#[test]
+fn a_drawing_ends_while_overrides_are_sent_all_the_time() {
+    let mut tasks = Tasks::new();
+    assert!(tasks.coordinator.configure(&Config::default()).is_ok());
+    tasks.event(BusEvent::Operational);
+    let mut report = holding();
+    let mut step = |tasks: &mut Tasks| {
+        report.cycle += 10;
+        tasks.reports.enqueue(report).unwrap();
+        tasks.coordinator.take_sample();
+        tasks.coordinator.advance();
+        tasks.coordinator.step(0);
+    };
+    step(&mut tasks);
+    assert_eq!(tasks.coordinator.command(Command::Enable), Ok(()));
+    step(&mut tasks);
+    assert_eq!(tasks.coordinator.command(Command::Draw { job: 1 }), Ok(()));
+    step(&mut tasks);
+    tasks.coordinator.motion = MotionReport {
+        idle: true,
+        finished: true,
+        orders: tasks.coordinator.orders_sent,
+        ..MotionReport::default()
+    };
+    for percent in 50..58 {
+        while tasks.motion_orders.dequeue().is_some() {}
+        assert_eq!(tasks.coordinator.command(Command::Override { percent }), Ok(()));
+        step(&mut tasks);
+    }
+    assert_eq!(tasks.coordinator.mode(), Mode::Idle);
+    assert!(tasks.coordinator.path_progress().finished);
 }
 
 /// An input of a terminal at the fifth place, whose failure is no fault.

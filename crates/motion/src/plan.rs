@@ -145,6 +145,11 @@ impl Plan {
         self.rest = place;
     }
 
+    /// Counts the executed vertices anew, for a path that begins where the plan rests.
+    pub(crate) fn count_from_zero(&mut self) {
+        self.rest.label.vertex = 0;
+    }
+
     /// Whether another leg's pieces fit.
     pub(crate) fn has_room(&self) -> bool {
         self.pieces.room() >= PIECES_PER_LEG

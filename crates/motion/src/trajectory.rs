@@ -323,6 +323,8 @@ impl Motion {
         if !self.joined {
             self.joined = true;
             self.pushed = 0;
+            self.here.label.vertex = 0;
+            self.plan.count_from_zero();
             self.shaper.merge(0);
             if vertex.pen == Pen::Up {
                 self.lift_first(vertex);
