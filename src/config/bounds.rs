@@ -32,7 +32,7 @@ impl Field {
             ..Config::default()
         };
         let scalars = config.scalars();
-        let axis = config.axes[0].scalars(0.0, 0);
+        let axis = config.axes[0].scalars(0.0, 0.0, 0);
         let row = usize::from(self.row);
         match self.axis {
             None => scalars.get(row).map_or("unknown", |bound| bound.name),
@@ -103,8 +103,9 @@ impl Axis {
         ]
     }
 
-    /// Bounds of homing by a switch; without a switch every number is allowed.
-    fn home_bounds(&self) -> [Bound; 4] {
+    /// Bounds of homing by a switch; without a switch every number is allowed. `beside_rad_s` is what the search of another
+    /// axis adds to the speed of this one.
+    fn home_bounds(&self, beside_rad_s: f64) -> [Bound; 4] {
         let home = &self.home;
         let within = |name, value: f64, low, high| match home.io {
             Some(_) => bound(name, value, low, high),
@@ -116,7 +117,7 @@ impl Axis {
                 "axes.home.speed_rad_s",
                 speed_rad_s,
                 1.0e-3,
-                self.output_max_rad_s.abs(),
+                self.output_max_rad_s.abs() - beside_rad_s,
             ),
             within("axes.home.latch_rad_s", home.latch_rad_s, 1.0e-4, speed_rad_s),
             within("axes.home.pull_off_rad", home.pull_off_rad, 1.0e-3, home.travel_max_rad),
@@ -125,11 +126,11 @@ impl Axis {
     }
 
     /// Weakest quick stop that ends within [`QUICK_STOP_MAX_MS`] if it begins with the drives' watchdog, rad/s2, rounded up to
-    /// hundredths. The highest speed of the axis is its speed limit, or the speed of its search if that is higher, plus the
+    /// hundredths. The highest speed of the axis is its speed limit, or its speed in a search if that is higher, plus the
     /// correction that the controller adds before the following error becomes a fault, at most the output limit.
-    fn quick_stop_min_rad_s2(&self, joint_speed_rad_s: f64, watchdog_ms: u16) -> f64 {
+    fn quick_stop_min_rad_s2(&self, joint_speed_rad_s: f64, beside_rad_s: f64, watchdog_ms: u16) -> f64 {
         let added = self.feedback_gain_per_s * self.following_error_max_rad;
-        let search_rad_s = self.home.io.map_or(0.0, |_| self.home.speed_rad_s.abs());
+        let search_rad_s = self.home.io.map_or(0.0, |_| self.home.speed_rad_s.abs() + beside_rad_s);
         let fastest = (joint_speed_rad_s.max(search_rad_s) + added).min(self.output_max_rad_s);
         let time_ms = QUICK_STOP_MAX_MS - u32::from(watchdog_ms.min(WATCHDOG_MAX_MS));
         let needed = fastest * 1_000.0 / f64::from(time_ms);
@@ -144,9 +145,10 @@ impl Axis {
         libm::floor(told.min(QUICK_STOP_HIGHEST_RAD_S2) * 100.0) / 100.0
     }
 
-    fn scalars(&self, joint_speed_rad_s: f64, watchdog_ms: u16) -> [Bound; AXIS_BOUNDS] {
+    /// Hard bounds of an axis's values; `beside_rad_s` is what the search of another axis adds to the speed of this one.
+    fn scalars(&self, joint_speed_rad_s: f64, beside_rad_s: f64, watchdog_ms: u16) -> [Bound; AXIS_BOUNDS] {
         let [vendor, product, revision, alias, switch, serial] = self.identity_bounds(None);
-        let [home_speed, home_latch, home_pull_off, home_travel] = self.home_bounds();
+        let [home_speed, home_latch, home_pull_off, home_travel] = self.home_bounds(beside_rad_s);
         [
             vendor,
             product,
@@ -196,7 +198,8 @@ impl Axis {
             bound(
                 "axes.quick_stop_rad_s2",
                 self.quick_stop_rad_s2,
-                self.quick_stop_min_rad_s2(joint_speed_rad_s, watchdog_ms).max(1.0),
+                self.quick_stop_min_rad_s2(joint_speed_rad_s, beside_rad_s, watchdog_ms)
+                    .max(1.0),
                 self.quick_stop_max_rad_s2(),
             ),
             bound("axes.torque_constant_nm_a", self.torque_constant_nm_a, 0.001, 100.0),
@@ -246,6 +249,15 @@ impl Config {
         }
     }
 
+    /// What the search of another axis adds to the speed of this one, at most, rad/s: two axes that move together are led to
+    /// both switches at once.
+    fn search_beside_rad_s(&self, axis: usize) -> f64 {
+        let coupled = self.geometry.kind().coupled_axes();
+        let others = self.axes.iter().take(coupled).enumerate();
+        let searched = others.filter(|(other, values)| axis < coupled && *other != axis && values.home.io.is_some());
+        searched.map(|(_, values)| values.home.speed_rad_s.abs()).sum()
+    }
+
     /// Checks every value against its hard bounds.
     ///
     /// # Errors
@@ -254,7 +266,9 @@ impl Config {
         let kind = self.geometry.kind();
         check_rows(&self.scalars(), None, kind)?;
         for (axis, (values, speed_rad_s)) in (0u8..).zip(self.axes.iter().zip(self.motion.joint_speed_rad_s)) {
-            check_rows(&values.scalars(speed_rad_s, self.bus.watchdog_ms), Some(axis), kind)?;
+            let beside_rad_s = self.search_beside_rad_s(axis.into());
+            let rows = values.scalars(speed_rad_s, beside_rad_s, self.bus.watchdog_ms);
+            check_rows(&rows, Some(axis), kind)?;
             for other in self.axes.iter().take(axis.into()) {
                 check_rows(&values.identity_bounds(Some(other)), Some(axis), kind)?;
             }

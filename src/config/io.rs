@@ -348,7 +348,7 @@ pub enum IoError {
         /// The second.
         second: u8,
     },
-    /// A home switch on an axis that moves the tool in two directions at once.
+    /// An axis without a home switch moves together with one that has one.
     CoupledAxis {
         /// The axis, from 0.
         axis: u8,

@@ -207,14 +207,25 @@ impl Config {
         (self.pen.kind.is_output() && !has_height_axis).then_some([down_mm, down_mm + lift_mm])
     }
 
-    /// Checks that each switch tells the place of one axis, which can be led to it by itself.
+    /// Places at which the home switches open, rad, of the carriages that are led to them
+    /// ([`Kind::carriages`](crate::robots::Kind::carriages)).
+    #[must_use]
+    pub fn switch_places_rad(&self) -> [f64; AXES] {
+        let joints = self.axes.each_ref().map(|axis| axis.sync_angle_rad);
+        self.geometry.kind().carriages(joints)
+    }
+
+    /// Checks that each switch tells the place of one axis, and that axes which move together have one each.
     fn check_searches(&self) -> Result<(), IoError> {
-        let kind = self.geometry.kind();
         let used = (0_u8..).zip(&self.axes).take(self.bus.drives.into());
-        for (second, axis) in used.clone().filter(|(_, axis)| axis.home.io.is_some()) {
-            if usize::from(second) < kind.coupled_axes() {
-                return Err(IoError::CoupledAxis { axis: second });
-            }
+        let mut coupled = used.clone().take(self.geometry.kind().coupled_axes());
+        let is_searched = |(_, axis): &(u8, &Axis)| axis.home.io.is_some();
+        if coupled.clone().any(|axis| is_searched(&axis))
+            && let Some((axis, _)) = coupled.find(|axis| !is_searched(axis))
+        {
+            return Err(IoError::CoupledAxis { axis });
+        }
+        for (second, axis) in used.clone().filter(is_searched) {
             let mut before = used.clone().take(second.into());
             if let Some((first, _)) = before.find(|(_, other)| other.home.io == axis.home.io) {
                 return Err(IoError::SameHomeSwitch { first, second });
@@ -415,6 +426,8 @@ mod tests {
         assert_eq!(config.check_io(), Err(IoError::SameHomeSwitch { first: 0, second: 1 }));
         config.axes[1].home.io = Some(1);
         config.geometry = Kind::CoreXy.geometry();
+        assert_eq!(config.check_io(), Ok(()));
+        config.axes[0].home.io = None;
         assert_eq!(config.check_io(), Err(IoError::CoupledAxis { axis: 0 }));
         config.axes.iter_mut().for_each(|axis| axis.home.io = None);
         for kind in [PenLiftKind::Output, PenLiftKind::Servo] {

@@ -14,7 +14,7 @@ use crate::control::pen_switch::PenSwitch;
 use crate::control::tool::ToolOutput;
 use crate::ethercat::cyclic::BusCounters;
 use crate::motion::Setpoint;
-use crate::robots::{AXES, JointAngles};
+use crate::robots::{AXES, JointAngles, Kind};
 
 /// A setpoint for the sampler, with the start that it belongs to.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -45,7 +45,10 @@ pub enum SamplerCommand {
         near: Option<JointAngles>,
     },
     /// Lead the axes to their switches, and home them there.
-    Search,
+    Search {
+        /// Kind of the robot, which says how the axes go together.
+        kind: Kind,
+    },
     /// End a search early; the axes stop.
     EndSearch,
     /// Follow the setpoints of this start.

@@ -448,7 +448,7 @@ impl<'a, G: IoTrigger + IoGroup> Sampler<'a, G> {
                     let _ = self.robot.home(near.as_ref());
                     self.same_zero = [false; AXES];
                 }
-                SamplerCommand::Search => self.begin_search(),
+                SamplerCommand::Search { kind } => self.begin_search(kind),
                 SamplerCommand::EndSearch => {
                     if let Some(search) = &mut self.search {
                         search.cancel();

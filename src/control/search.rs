@@ -2,7 +2,8 @@
 //!
 //! An axis goes towards its switch, stops, goes back off it, and comes again slowly: the position at which the switch then
 //! opens is the axis's zero. It ends off the switch. A switch that is open at the start is left first. Axes of the same order
-//! go together, each by itself; other axes stand.
+//! go together, each by itself; other axes stand. Where two axes move the tool together, two carriages are led to the switches
+//! ([`Kind::carriages`]), and the places of both drives at both switches give the zeros of both.
 //!
 //! A switch is closed in operation and opens when it is reached, so that a broken wire is like a switch that is reached: it
 //! never closes, which ends the search.
@@ -11,7 +12,8 @@
 
 use crate::config::{Axis, HomeSwitch};
 use crate::motion::Setpoint;
-use crate::robots::AXES;
+use crate::robots::{AXES, Kind};
+use core::f64::consts::TAU;
 use serde::{Deserialize, Serialize};
 
 /// Milliseconds for which a switch must keep a new state.
@@ -95,19 +97,19 @@ struct Switch {
     is_open: bool,
     /// Milliseconds for which the input has had the other state.
     other_ms: u8,
-    /// The axis's position when it changed, increments, and its setpoint, rad.
-    changed_at: i64,
+    /// Positions of all axes when it changed, increments, and the setpoint of its own, rad.
+    changed_at: [i64; AXES],
     changed_rad: f64,
 }
 
 impl Switch {
-    fn step(&mut self, is_open: bool, increments: i64, setpoint_rad: f64) {
+    fn step(&mut self, is_open: bool, increments: &[i64; AXES], setpoint_rad: f64) {
         if is_open == self.is_open {
             self.other_ms = 0;
             return;
         }
         if self.other_ms == 0 {
-            (self.changed_at, self.changed_rad) = (increments, setpoint_rad);
+            (self.changed_at, self.changed_rad) = (*increments, setpoint_rad);
         }
         self.other_ms += 1;
         if self.other_ms >= STEADY_MS {
@@ -116,7 +118,7 @@ impl Switch {
     }
 }
 
-/// The search of one axis.
+/// The search of one axis, or of a carriage that two axes move together.
 #[derive(Clone, Copy, Debug)]
 struct AxisSearch {
     home: HomeSwitch,
@@ -134,8 +136,8 @@ struct AxisSearch {
     stops: bool,
     /// Where the first approach found the switch, by the setpoint, rad.
     first_rad: f64,
-    /// Position of the switch, increments.
-    edge: Option<i64>,
+    /// Positions of all axes at the switch, increments.
+    edge: Option<[i64; AXES]>,
 }
 
 impl AxisSearch {
@@ -165,8 +167,8 @@ impl AxisSearch {
         (self.begun_rad, self.closed_rad, self.stops) = (self.position_rad, None, false);
     }
 
-    /// Advances by a millisecond. `is_open` is the switch's input; `increments` the axis's position.
-    fn step(&mut self, is_open: Option<bool>, increments: i64) -> Result<(), SearchFailure> {
+    /// Advances by a millisecond. `is_open` is the switch's input; `increments` the positions of all axes.
+    fn step(&mut self, is_open: Option<bool>, increments: &[i64; AXES]) -> Result<(), SearchFailure> {
         let is_open = is_open.ok_or(SearchFailure::Missing)?;
         if !self.is_known {
             self.is_known = true;
@@ -270,7 +272,10 @@ impl AxisSearch {
 /// A search of all axes that have a switch.
 #[derive(Clone, Debug)]
 pub(super) struct Search {
+    kind: Kind,
     axes: [AxisSearch; AXES],
+    /// Increments of the first two axes for a radian.
+    increments_per_rad: [f64; 2],
     rest_ms: u16,
     /// Whether the search was ended early: the axes stop.
     is_cancelled: bool,
@@ -287,11 +292,15 @@ pub(super) enum Found {
 
 impl Search {
     /// A search of the first `used` axes that begins at this pose, at rest.
-    pub(super) fn new(axes: &[Axis; AXES], used: usize, pose_rad: &[f64; AXES]) -> Self {
-        let mut searches = core::array::from_fn(|axis| AxisSearch::new(&axes[axis], pose_rad[axis]));
+    pub(super) fn new(kind: Kind, axes: &[Axis; AXES], used: usize, pose_rad: &[f64; AXES]) -> Self {
+        let carriages_rad = kind.carriages(*pose_rad);
+        let mut searches = core::array::from_fn(|axis| AxisSearch::new(&axes[axis], carriages_rad[axis]));
         searches.iter_mut().skip(used).for_each(|axis| axis.home.io = None);
+        let [first, second, ..] = axes;
         Self {
+            kind,
             axes: searches,
+            increments_per_rad: [first, second].map(|axis| axis.gear * f64::from(axis.increments_per_revolution) / TAU),
             rest_ms: 0,
             is_cancelled: false,
         }
@@ -310,10 +319,29 @@ impl Search {
     /// The axes' pose at present, as a setpoint.
     pub(super) fn setpoint(&self) -> Setpoint {
         Setpoint {
-            position_rad: self.axes.each_ref().map(|axis| axis.position_rad),
-            velocity_rad_s: self.axes.each_ref().map(|axis| axis.velocity_rad_s),
+            position_rad: self.kind.joints(self.axes.each_ref().map(|axis| axis.position_rad)),
+            velocity_rad_s: self.kind.joints(self.axes.each_ref().map(|axis| axis.velocity_rad_s)),
             ..Setpoint::default()
         }
+    }
+
+    /// The position of each axis at its place in the configuration, increments; `None` for one without a switch.
+    ///
+    /// Two axes that move together are at their places where both switches open. The positions of both at each switch, as
+    /// lengths in increments of the one, give the sum and the difference of the belts there: half of their sum is where the
+    /// one is, half of their difference where the other is.
+    fn edges(&self) -> [Option<i64>; AXES] {
+        let places = self.axes.each_ref().map(|axis| axis.edge);
+        let mut edges = core::array::from_fn(|axis| places[axis].map(|place| place[axis]));
+        if let ([Some(first), Some(second), ..], 1..) = (&places, self.kind.coupled_axes()) {
+            let [per_rad, other_per_rad] = self.increments_per_rad;
+            let sum = |axis: usize| (first[axis] + second[axis]) as f64;
+            let difference = |axis: usize| (first[axis] - second[axis]) as f64;
+            let ratio = per_rad / other_per_rad;
+            edges[0] = Some(libm::round(0.5 * (sum(0) + difference(1) * ratio)) as i64);
+            edges[1] = Some(libm::round(0.5 * (sum(1) + difference(0) / ratio)) as i64);
+        }
+        edges
     }
 
     /// Advances by a millisecond. `is_open` tells the state of an input of the configuration, `None` for one that does not
@@ -332,7 +360,7 @@ impl Search {
             .filter(|axis| !axis.is_over())
             .map(|axis| axis.home.order)
             .min();
-        for (number, (axis, increments)) in (0..).zip(self.axes.iter_mut().zip(increments)) {
+        for (number, axis) in (0..).zip(&mut self.axes) {
             let Some(io) = axis.home.io.filter(|_| Some(axis.home.order) == order) else {
                 continue;
             };
@@ -345,7 +373,7 @@ impl Search {
                 };
                 axis.advance();
             } else if !axis.is_over() {
-                axis.step(is_open(io), *increments)
+                axis.step(is_open(io), increments)
                     .map_err(|failure| (number, failure))?;
             }
         }
@@ -356,14 +384,14 @@ impl Search {
         if self.rest_ms < REST_MS {
             return Ok(Found::Setpoint(self.setpoint()));
         }
-        let edges = self.axes.each_ref().map(|axis| axis.edge);
-        Ok(Found::End((!self.is_cancelled).then_some(edges)))
+        Ok(Found::End((!self.is_cancelled).then(|| self.edges())))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use proptest::prelude::*;
 
     const PER_RAD: f64 = 100_000.0;
 
@@ -381,7 +409,7 @@ mod tests {
 
     /// Steps a search whose motors follow exactly; switches are open beyond their places, rad, in the search's direction.
     fn run(axes: &[Axis; AXES], switches_rad: [f64; AXES]) -> (Result<Found, (u8, SearchFailure)>, [f64; AXES], u32) {
-        let mut search = Search::new(axes, AXES, &[0.0; AXES]);
+        let mut search = Search::new(Kind::Delta, axes, AXES, &[0.0; AXES]);
         let mut fastest = [0.0_f64; AXES];
         for ms in 0..600_000 {
             let pose = search.setpoint().position_rad;
@@ -436,7 +464,7 @@ mod tests {
         assert_eq!(run(&axes, [-far, 1.0, 0.0, 0.0]).0, Err((0, SearchFailure::NeverOpens)));
         // Open wherever the axis is: a broken wire.
         assert_eq!(run(&axes, [-0.1, -1e9, 0.0, 0.0]).0, Err((1, SearchFailure::StaysOpen)));
-        let mut search = Search::new(&axes, AXES, &[0.0; AXES]);
+        let mut search = Search::new(Kind::Delta, &axes, AXES, &[0.0; AXES]);
         assert_eq!(search.step(|_| None, &[0; AXES]), Err((0, SearchFailure::Missing)));
     }
 
@@ -444,7 +472,7 @@ mod tests {
     fn a_loose_contact_and_a_flag_that_is_too_narrow_end_the_search_instead_of_giving_a_wrong_place() {
         let only = |is_open: &dyn Fn(u32, f64) -> bool| {
             let axes = [axis(0, 0, -0.5), Axis::default(), Axis::default(), Axis::default()];
-            let mut search = Search::new(&axes, AXES, &[0.0; AXES]);
+            let mut search = Search::new(Kind::Delta, &axes, AXES, &[0.0; AXES]);
             for ms in 0..60_000 {
                 let pose = search.setpoint().position_rad;
                 let increments = pose.map(|rad| (rad * PER_RAD) as i64);
@@ -485,11 +513,67 @@ mod tests {
         }
     }
 
+    proptest! {
+        /// Two belts that move two carriages: the switches see the carriages, and the drives count from anywhere, in units
+        /// and directions of their own.
+        #[test]
+        fn two_switches_give_the_places_of_two_axes_that_move_together(
+            places_rad in prop::array::uniform2(-4.0..4.0_f64),
+            away_rad in prop::array::uniform2(-0.1..6.0_f64),
+            counted_from in prop::array::uniform2(-1_000_000..1_000_000_i64),
+            gears in prop::array::uniform2((0.5..20.0_f64, any::<bool>())),
+            orders in prop::array::uniform2(0..2_u8),
+        ) {
+            let gears = gears.map(|(gear, turned)| if turned { -gear } else { gear });
+            let drive = |number: u8| Axis {
+                gear: gears[usize::from(number)],
+                increments_per_revolution: 100_000,
+                ..axis(number, orders[usize::from(number)], if number == 0 { -0.5 } else { 0.4 })
+            };
+            let axes = [drive(0), drive(1), Axis::default(), Axis::default()];
+            let per_rad = gears.map(|gear| gear * 100_000.0 / TAU);
+            let mut search = Search::new(Kind::CoreXy, &axes, 2, &[0.7, -0.3, 0.0, 0.0]);
+            let begun = search.setpoint().position_rad;
+            let starts_rad = [places_rad[0] + away_rad[0], places_rad[1] - away_rad[1]];
+            let first = Kind::CoreXy.joints([starts_rad[0], starts_rad[1], 0.0, 0.0]);
+            let mut edges = None;
+            for _ in 0..100_000 {
+                let commanded = search.setpoint();
+                let speeds = commanded.velocity_rad_s;
+                prop_assert!(speeds[0].abs() <= 0.9 + 1e-9 && speeds[1].abs() <= 0.9 + 1e-9, "{speeds:?}");
+                let joints: [f64; AXES] =
+                    core::array::from_fn(|axis| first[axis] + commanded.position_rad[axis] - begun[axis]);
+                let carriages = [0.5 * (joints[0] + joints[1]), 0.5 * (joints[0] - joints[1])];
+                let is_open = |io: u8| {
+                    let axis = usize::from(io);
+                    Some((carriages[axis] - places_rad[axis]) * axes[axis].home.speed_rad_s >= 0.0)
+                };
+                let mut increments = [0; AXES];
+                for axis in 0..2 {
+                    increments[axis] = counted_from[axis] + (joints[axis] * per_rad[axis]) as i64;
+                }
+                if let Found::End(found) = search.step(is_open, &increments).expect("no switch fails") {
+                    edges = found;
+                    break;
+                }
+            }
+            let edges = edges.expect("the search ends");
+            let at_both = [places_rad[0] + places_rad[1], places_rad[0] - places_rad[1]];
+            for axis in 0..2 {
+                let edge = edges[axis].expect("a place") - counted_from[axis];
+                let apart_rad = edge as f64 / per_rad[axis] - at_both[axis];
+                // Each approach is seen a millisecond late at most, at 0.05 rad/s.
+                prop_assert!(apart_rad.abs() < 3e-4, "axis {axis}: {apart_rad} rad");
+            }
+            prop_assert_eq!(edges[2], None);
+        }
+    }
+
     #[test]
     fn a_cancelled_search_stops_all_axes_and_gives_no_position() {
         let axes = [axis(0, 0, -0.5), axis(1, 0, 0.8), Axis::default(), Axis::default()];
         for cancelled_ms in [0, 5, 400] {
-            let mut search = Search::new(&axes, AXES, &[0.0; AXES]);
+            let mut search = Search::new(Kind::Delta, &axes, AXES, &[0.0; AXES]);
             for _ in 0..cancelled_ms {
                 search.step(|_| Some(false), &[0; AXES]).unwrap();
             }
@@ -510,8 +594,8 @@ mod tests {
     fn a_bouncing_switch_gives_the_place_of_its_first_contact() {
         let mut switch = Switch::default();
         for (ms, is_open) in [true, false, true, true, true].into_iter().enumerate() {
-            switch.step(is_open, ms as i64, 0.0);
+            switch.step(is_open, &[ms as i64; AXES], 0.0);
         }
-        assert_eq!((switch.is_open, switch.changed_at), (true, 2));
+        assert_eq!((switch.is_open, switch.changed_at), (true, [2; AXES]));
     }
 }

@@ -32,7 +32,7 @@ use crate::ethercat::event::{BusCommand, BusEvent};
 use crate::ethercat::state::AlReport;
 use crate::messages::{Counters, SLAVES_REPORTED, Sample, SlaveStatus};
 use crate::motion::Admission;
-use crate::robots::AXES;
+use crate::robots::{AXES, Kind};
 use crate::trajectory_task::{MotionOrder, MotionReport};
 use heapless::Vec;
 use io::Io;
@@ -68,6 +68,8 @@ pub struct Coordinator<'a> {
     pen_heights_mm: Option<[f64; 2]>,
     /// Checks poses against the configuration. Absent until a configuration has been taken.
     homing_check: Option<HomingCheck>,
+    /// Kind of the configured robot.
+    kind: Kind,
     config_hash: Option<u64>,
     condition: Condition,
     /// Whether the joint angles were referenced at any time since start-up.
@@ -108,6 +110,7 @@ impl<'a> Coordinator<'a> {
             admission: None,
             pen_heights_mm: None,
             homing_check: None,
+            kind: Kind::default(),
             config_hash: None,
             condition: Condition::UNKNOWN,
             was_referenced: false,
@@ -329,7 +332,7 @@ impl<'a> Coordinator<'a> {
             }
             Action::ClearFault => self.tell_sampler(SamplerCommand::ClearFault),
             Action::Home { near } => self.tell_sampler(SamplerCommand::Home { near }),
-            Action::Search => self.tell_sampler(SamplerCommand::Search),
+            Action::Search => self.tell_sampler(SamplerCommand::Search { kind: self.kind }),
             Action::EndSearch => self.tell_sampler(SamplerCommand::EndSearch),
             Action::Follow { epoch } => self.tell_sampler(SamplerCommand::Follow { epoch }),
             Action::Place { pose, epoch } => self.tell_trajectory(MotionOrder::Place { pose, epoch }),

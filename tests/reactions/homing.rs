@@ -3,7 +3,7 @@
 use crate::robot::Robot;
 use crate::{STILL_RAD_S, assert_described_standstill};
 use etherpen::application::{Fault, Mode, Refusal};
-use etherpen::config::Config;
+use etherpen::config::{Config, HomeSwitch, IoPoint, IoRole};
 use etherpen::control::search::SearchFailure;
 use etherpen::messages::Command;
 use host_tools::cell::{CellOptions, Fault as CellFault};
@@ -18,15 +18,51 @@ fn gantry() -> Config {
     MACHINES[1].load().unwrap()
 }
 
+/// Two crossed belts with a switch at the lower end of x and of y.
+fn belts() -> Config {
+    let mut config = MACHINES[2].load().unwrap();
+    // Where both switches open, at -168 mm: the belts are at the sum and the difference.
+    let [x_rad, y_rad] = [-1.68, -1.68];
+    for (number, (name, at_rad)) in [("x_home", x_rad + y_rad), ("y_home", x_rad - y_rad)]
+        .into_iter()
+        .enumerate()
+    {
+        let io = config.io.len() as u8;
+        let point = IoPoint {
+            name: name.try_into().unwrap(),
+            slave: 1,
+            bit: Some(1 + number as u16),
+            role: IoRole::Home,
+            ..IoPoint::default()
+        };
+        config.io.push(point).unwrap();
+        let axis = &mut config.axes[number];
+        axis.sync_angle_rad = at_rad;
+        axis.home = HomeSwitch {
+            io: Some(io),
+            speed_rad_s: -0.6,
+            pull_off_rad: 0.2,
+            travel_max_rad: 3.7,
+            ..HomeSwitch::default()
+        };
+    }
+    config.check_io().unwrap();
+    config
+}
+
 /// A gantry with power that is not homed.
 fn powered(seed: u64) -> Robot {
-    let config = gantry();
+    powered_of(&gantry(), seed)
+}
+
+/// A machine with power that is not homed.
+fn powered_of(config: &Config, seed: u64) -> Robot {
     let options = CellOptions {
         seed,
         ..CellOptions::default()
     };
-    let mut robot = Robot::of(&config, options);
-    robot.configure(&config);
+    let mut robot = Robot::of(config, options);
+    robot.configure(config);
     robot.wait_for(Mode::DrivesOff);
     assert_eq!(robot.command(Command::Home), Err(Refusal::NeedsPower));
     robot.command(Command::Enable).unwrap();
@@ -39,7 +75,8 @@ fn assert_knows_its_pose(robot: &mut Robot) {
     robot.run(100);
     let truth = robot.cell().joints.0;
     let believed = robot.samples.last().expect("samples").measured_rad;
-    for axis in 0..3 {
+    let driven = usize::from(robot.config.bus.drives).min(3);
+    for axis in 0..driven {
         let apart_rad = (truth[axis] - f64::from(believed[axis])).abs();
         assert!(apart_rad < APART_RAD, "axis {axis}: {apart_rad} rad");
     }
@@ -226,6 +263,74 @@ pub(crate) fn a_search_ends_at_a_stop_a_lost_terminal_a_lost_drive_and_a_silent_
             )
         });
         robot.run(2_000);
+        comes_back(&mut robot);
+    }
+}
+
+#[test]
+pub(crate) fn two_belts_find_the_switches_of_both_carriages_from_wherever_they_stand() {
+    for (seed, orders) in [(1, [0, 0]), (2, [0, 1]), (3, [1, 0]), (4, [0, 0])] {
+        let mut config = belts();
+        for (axis, order) in config.axes.iter_mut().zip(orders) {
+            axis.home.order = order;
+        }
+        let mut robot = powered_of(&config, seed);
+        let from = robot.cell().joints.0;
+        robot.command(Command::Home).unwrap();
+        robot.wait_for(Mode::Homing);
+        let mut fastest = 0.0_f64;
+        for ms in 0.. {
+            robot.run(1);
+            assert!(ms < SEARCH_MAX_MS, "{:?}", robot.fault());
+            // Each carriage keeps the speed of its search.
+            let [a, b, ..] = robot.cell().velocities.0;
+            fastest = fastest.max((0.5 * (a + b)).abs()).max((0.5 * (a - b)).abs());
+            if robot.mode() != Mode::Homing {
+                break;
+            }
+        }
+        assert_eq!((robot.mode(), robot.fault()), (Mode::Idle, None));
+        assert_knows_its_pose(&mut robot);
+        assert_eq!(robot.cell().end_stop_ms, 0);
+        assert!(fastest < 0.66, "{fastest} rad/s");
+        println!("seed {seed}: from {from:?} rad, fastest {fastest} rad/s");
+    }
+}
+
+#[test]
+pub(crate) fn a_search_of_two_belts_fails_as_any_other_and_the_machine_comes_back() {
+    type Fails = fn(&mut Robot, bool);
+    let failures: [(SearchFailure, Fails); 2] = [
+        (SearchFailure::StaysOpen, |robot, fails| {
+            robot.change_cell(|cell| cell.break_switches(fails));
+        }),
+        (SearchFailure::NeverOpens, |robot, fails| {
+            robot.change_cell(|cell| cell.remove_switches(fails));
+        }),
+    ];
+    for (expected, fail) in failures {
+        let mut robot = powered_of(&belts(), 5);
+        fail(&mut robot, true);
+        robot.command(Command::Home).unwrap();
+        assert_described_standstill(&mut robot, |fault| {
+            matches!(fault, Fault::HomingFailed { failure, .. } if *failure == expected)
+                || expected == SearchFailure::NeverOpens
+                    && matches!(fault, Fault::FollowingError { .. } | Fault::FeedbackDeviation { .. })
+        });
+        println!("{expected:?}: {:?}", robot.fault());
+        fail(&mut robot, false);
+        comes_back(&mut robot);
+    }
+    for after_ms in [0, 40, 900] {
+        let mut robot = powered_of(&belts(), 6);
+        robot.command(Command::Home).unwrap();
+        robot.run(after_ms);
+        robot.command(Command::Cancel).unwrap();
+        robot.wait_for(Mode::Unreferenced);
+        robot.command(Command::Home).unwrap();
+        robot.run(after_ms);
+        robot.command(Command::Stop).unwrap();
+        assert_described_standstill(&mut robot, |fault| matches!(fault, Fault::EmergencyStop(_)));
         comes_back(&mut robot);
     }
 }

@@ -112,7 +112,7 @@ pub(crate) struct Robot {
     /// The firmware's next message; it waits for the answer, so the cell stops between two milliseconds.
     next: Option<(u32, Vec<u8>)>,
     cell: Arc<Mutex<Cell>>,
-    config: Config,
+    pub(crate) config: Config,
     surroundings: Arc<Mutex<Surroundings>>,
     used: Arc<Mutex<Used>>,
     session: Session,

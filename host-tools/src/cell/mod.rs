@@ -50,13 +50,9 @@ use machine::Machine;
 use neighbour::Neighbour;
 use pen_lift::PenOutput;
 use std::collections::BTreeMap;
-use std::f64::consts::TAU;
-use switches::Switches;
+use switches::{Switches, starts_rad};
 pub(crate) use tuning::BRAKE_RAD_S2;
 use tuning::Commissioning;
-
-/// Largest distance of a motor from its synchronisation mark at the start, turns.
-const TURN_PART: f64 = 0.25;
 
 /// Options of the cell, beyond the configuration.
 #[derive(Clone, Debug)]
@@ -174,6 +170,8 @@ impl Cell {
         };
         let residues = Residues::new(&config.geometry, &options.physics.calibration, options.seed);
         let mut commissioning = Commissioning::new(config, &options.physics, options.seed);
+        let driven = slaves.iter().filter(|kind| kind.is_drive()).count();
+        let starts_rad = starts_rad(config, driven, options.start_offset_max_rad, &mut random);
         let mut axes = config.axes.into_iter();
         let mut errors_rad = residues.sync_rad.into_iter();
         let (mut gears, mut drives) = (Vec::new(), Vec::new());
@@ -185,12 +183,7 @@ impl Cell {
             let gear = Gear::new(&axis, sync_rad);
             gears.push(gear);
             if kind.is_drive() {
-                // Near enough to the mark for the motor's turn to be known.
-                let most_rad = options.start_offset_max_rad.min(TURN_PART * TAU / axis.gear.abs());
-                let offset_rad = (2.0 * random.unit() - 1.0) * most_rad;
-                let start_rad = Switches::start_rad(config, drives.len(), offset_rad / most_rad / 2.0 + 0.5)
-                    .unwrap_or(axis.sync_angle_rad + offset_rad);
-                let angle_rad = gear.motor_rad(start_rad);
+                let angle_rad = gear.motor_rad(starts_rad.get(drives.len()).copied().unwrap_or(axis.sync_angle_rad));
                 angles
                     .next()
                     .into_iter()

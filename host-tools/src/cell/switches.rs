@@ -1,10 +1,40 @@
 //! Home switches: contacts at the ends of axes, which open when the axis reaches them.
 
+use crate::random::Random;
 use etherpen::config::{Config, IoDirection};
-use etherpen::robots::AXES;
+use etherpen::robots::{AXES, Kind};
 use std::collections::BTreeMap;
+use std::f64::consts::TAU;
 
-/// A switch of an axis.
+/// Largest distance of a motor from its synchronisation mark at the start, turns.
+const TURN_PART: f64 = 0.25;
+
+/// Where the joints of `driven` drives start, rad: at most `offset_max_rad` from their marks, and near enough for the motor's
+/// turn to be known; with a switch, somewhere before it, in the first third of the way that the search may take.
+pub(super) fn starts_rad(config: &Config, driven: usize, offset_max_rad: f64, random: &mut Random) -> Vec<f64> {
+    let mut places_rad = config.switch_places_rad();
+    let mut starts_rad = Vec::new();
+    for number in 0..driven {
+        let axis = config.axes.get(number).copied().unwrap_or_default();
+        let most_rad = offset_max_rad.min(TURN_PART * TAU / axis.gear.abs());
+        let offset_rad = (2.0 * random.unit() - 1.0) * most_rad;
+        if let Some(place_rad) = places_rad.get_mut(number).filter(|_| axis.home.io.is_some()) {
+            let share = offset_rad / most_rad / 2.0 + 0.5;
+            let away_rad = (0.05 + share) * axis.home.travel_max_rad / 3.0;
+            *place_rad -= axis.home.speed_rad_s.signum() * away_rad;
+        }
+        starts_rad.push(axis.sync_angle_rad + offset_rad);
+    }
+    let before_switches_rad = config.geometry.kind().joints(places_rad);
+    for ((start_rad, axis), before_rad) in starts_rad.iter_mut().zip(&config.axes).zip(before_switches_rad) {
+        if axis.home.io.is_some() {
+            *start_rad = before_rad;
+        }
+    }
+    starts_rad
+}
+
+/// A switch of an axis, or of a carriage that two axes move together.
 #[derive(Clone, Copy, Debug)]
 struct Switch {
     axis: usize,
@@ -12,7 +42,7 @@ struct Switch {
     slave: usize,
     /// The bit among its inputs.
     bit: usize,
-    /// The joint's position at which it opens, rad.
+    /// The position at which it opens, rad.
     at_rad: f64,
     /// Direction towards it: 1 or -1.
     towards: f64,
@@ -21,6 +51,7 @@ struct Switch {
 /// All inputs of the terminals, with the switches among them.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Switches {
+    kind: Kind,
     switches: Vec<Switch>,
     /// Inputs of each terminal, by its place from 1, as last set.
     inputs: BTreeMap<usize, Vec<u8>>,
@@ -29,8 +60,9 @@ pub(super) struct Switches {
 }
 
 impl Switches {
-    /// The switches of a configuration: each stands where its axis has its synchronisation mark.
+    /// The switches of a configuration: each opens where the configuration says.
     pub(super) fn new(config: &Config) -> Self {
+        let places_rad = config.switch_places_rad();
         let used = config.axes.iter().take(config.bus.drives.into()).enumerate();
         let switches = used.filter_map(|(axis, values)| {
             let point = config.io.get(usize::from(values.home.io?))?;
@@ -40,11 +72,12 @@ impl Switches {
                 axis,
                 slave: usize::from(point.slave) + 1,
                 bit: usize::from(point.bit.or(by_object)?),
-                at_rad: values.sync_angle_rad,
+                at_rad: *places_rad.get(axis)?,
                 towards: values.home.speed_rad_s.signum(),
             })
         });
         Self {
+            kind: config.geometry.kind(),
             switches: switches.collect(),
             ..Self::default()
         }
@@ -65,16 +98,6 @@ impl Switches {
         self.is_removed = removed;
     }
 
-    /// Where the joint of an axis with a switch starts: somewhere before it, `share` of 0 to 1 of a third of the way that the
-    /// search may take.
-    pub(super) fn start_rad(config: &Config, axis: usize, share: f64) -> Option<f64> {
-        let axis = config.axes.get(axis)?;
-        let home = axis.home;
-        home.io?;
-        let away_rad = (0.05 + share) * home.travel_max_rad / 3.0;
-        Some(axis.sync_angle_rad - home.speed_rad_s.signum() * away_rad)
-    }
-
     /// Notes the first inputs of a terminal, as set from outside.
     pub(super) fn set(&mut self, slave: usize, inputs: &[u8]) {
         let kept = self.inputs.entry(slave).or_default();
@@ -85,8 +108,9 @@ impl Switches {
     /// Moves the contacts with the joints; returns the terminals whose inputs have changed.
     pub(super) fn step(&mut self, joints_rad: &[f64; AXES]) -> Vec<(usize, Vec<u8>)> {
         let mut changed = Vec::new();
+        let places_rad = self.kind.carriages(*joints_rad);
         for switch in &self.switches {
-            let is_closed = joints_rad
+            let is_closed = places_rad
                 .get(switch.axis)
                 .is_some_and(|rad| (rad - switch.at_rad) * switch.towards < 0.0);
             let is_closed = !self.is_broken && (is_closed || self.is_removed);

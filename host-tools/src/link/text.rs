@@ -301,8 +301,8 @@ pub fn io_error(error: &IoError) -> String {
             one(second)
         ),
         IoError::CoupledAxis { axis } => format!(
-            "axis {}: moved alone, it moves the tool in two directions, so that a switch does not tell its place; home it by \
-             an encoder",
+            "axis {}: it moves together with an axis that has a home switch, and one switch does not tell the places of both; \
+             give it one too, or home both by encoders",
             one(axis)
         ),
         IoError::PenWithoutHeight => {

@@ -194,17 +194,21 @@ fn errors(text: &str) -> (Option<Config>, Vec<Finding>) {
 fn marks_outside(places: &Places<'_>, config: &Config) -> Vec<Finding> {
     let outside = |axis: AxisView| {
         let settings = config.axes.get(axis.index)?;
-        let [low_rad, high_rad] = range_rad(config, axis.index);
-        let room_rad = match settings.home.io {
-            Some(_) => 0.0,
-            None => PI / settings.gear.abs(),
+        let ([low_rad, high_rad], place_rad, room_rad) = match settings.home.io {
+            Some(_) => {
+                let switches_rad = config.switch_places_rad();
+                (searched_rad(config, axis.index), *switches_rad.get(axis.index)?, 0.0)
+            }
+            None => {
+                let room_rad = PI / settings.gear.abs();
+                (range_rad(config, axis.index), settings.sync_angle_rad, room_rad)
+            }
         };
-        let away_rad = (low_rad - settings.sync_angle_rad).max(settings.sync_angle_rad - high_rad);
+        let away_rad = (low_rad - place_rad).max(place_rad - high_rad);
         if away_rad <= room_rad + 1.0e-9 {
             return None;
         }
-        let [sync, low, high] =
-            [settings.sync_angle_rad, low_rad, high_rad].map(|rad| round(rad * axis.motion.factor()));
+        let [sync, low, high] = [place_rad, low_rad, high_rad].map(|rad| round(rad * axis.motion.factor()));
         let (key, unit) = (sync_key(axis.motion), axis.motion.unit(Quantity::Position));
         Some(Finding {
             gravity: Gravity::Error,
@@ -227,6 +231,12 @@ fn range_rad(config: &Config, axis: usize) -> [f64; 2] {
     main.get(axis)
         .copied()
         .unwrap_or_else(|| config.geometry.turn_range_rad())
+}
+
+/// Lowest and highest position of what is led to the switch of an axis, from 0, rad.
+fn searched_rad(config: &Config, axis: usize) -> [f64; 2] {
+    let main = config.geometry.carriage_ranges_rad();
+    main.get(axis).copied().unwrap_or_else(|| range_rad(config, axis))
 }
 
 /// The value of an axis with its place at mark or switch.

@@ -6,13 +6,13 @@ use crate::control::pen_switch::HEIGHT;
 use crate::control::position::PositionController;
 use crate::control::search::{Found, Search, SearchFailure};
 use crate::drives::io::{IoGroup, IoTrigger};
-use crate::robots::AXES;
+use crate::robots::{AXES, Kind};
 
 impl<G: IoTrigger + IoGroup> Sampler<'_, G> {
     /// Begins to lead the axes to their switches, from where they are. They are no longer homed, however the search ends:
     /// the pose that they had was to be corrected.
     #[cold]
-    pub(super) fn begin_search(&mut self) {
+    pub(super) fn begin_search(&mut self, kind: Kind) {
         if self.power != Power::On {
             return;
         }
@@ -33,7 +33,7 @@ impl<G: IoTrigger + IoGroup> Sampler<'_, G> {
         (now.homed, self.home_lost, self.same_zero) = (homed, [false; AXES], [false; AXES]);
         // The setpoints that were followed belong to the former zeros.
         self.controllers.iter_mut().for_each(PositionController::reset);
-        let search = Search::new(&self.axes, self.used, &now.measured_rad);
+        let search = Search::new(kind, &self.axes, self.used, &now.measured_rad);
         let standing = search.setpoint();
         while self.window.has_room() {
             self.window.push(&standing);

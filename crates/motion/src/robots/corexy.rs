@@ -84,6 +84,11 @@ impl CoreXyGeometry {
         ]
     }
 
+    /// Lowest and highest angle that stand for x, y and z, rad.
+    pub(super) fn carriage_ranges_rad(&self) -> [[f64; 2]; MAIN_AXES] {
+        [self.x_range_mm, self.y_range_mm, self.z_range_mm].map(angles_rad)
+    }
+
     /// Angles of the margin, rad. The belts' is 0, because x and y keep theirs.
     pub(super) fn margins_rad(&self) -> [f64; MAIN_AXES] {
         let [_, margin] = angles_rad([0.0, self.margin_mm]);

@@ -175,6 +175,15 @@ impl Geometry {
         }
     }
 
+    /// Lowest and highest position of each of [`Kind::carriages`], rad.
+    #[must_use]
+    pub fn carriage_ranges_rad(&self) -> [[f64; 2]; MAIN_AXES] {
+        match self {
+            Self::CoreXy(geometry) => geometry.carriage_ranges_rad(),
+            Self::Delta(_) | Self::Gantry(_) | Self::Scara(_) | Self::LinearDelta(_) => self.ranges_rad(),
+        }
+    }
+
     /// Lowest and highest angle of each main axis, rad, with the configured margin taken off both ends.
     #[must_use]
     pub fn ranges_with_margin_rad(&self) -> [[f64; 2]; MAIN_AXES] {

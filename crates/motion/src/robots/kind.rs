@@ -62,6 +62,27 @@ impl Kind {
         }
     }
 
+    /// Positions of what can be led to a switch by itself, from those of the joints, rad: of the joints themselves, and for
+    /// coupled axes of the carriages that they move together.
+    #[must_use]
+    pub fn carriages(self, joints: [f64; AXES]) -> [f64; AXES] {
+        let [a, b, third, fourth] = joints;
+        match self.coupled_axes() {
+            0 => joints,
+            _ => [0.5 * (a + b), 0.5 * (a - b), third, fourth],
+        }
+    }
+
+    /// Positions of the joints, from those of the carriages, rad: the inverse of [`Self::carriages`]. Also for speeds.
+    #[must_use]
+    pub fn joints(self, carriages: [f64; AXES]) -> [f64; AXES] {
+        let [x, y, third, fourth] = carriages;
+        match self.coupled_axes() {
+            0 => carriages,
+            _ => [x + y, x - y, third, fourth],
+        }
+    }
+
     /// Whether the third main axis is the tool's height, and moves nothing else.
     #[must_use]
     pub fn has_height_axis(self) -> bool {

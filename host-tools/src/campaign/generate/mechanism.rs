@@ -166,9 +166,10 @@ fn mirror(episode: &mut Episode, usual: &Config, parts: &[Part]) {
 /// Lets the search for a home switch go from one end of the axis to the other.
 fn search_farther(episode: &mut Episode) {
     let Ok(config) = episode.configuration() else { return };
-    let ranges_rad = robot::ranges_rad(&config.geometry);
+    let ranges_rad = config.geometry.carriage_ranges_rad();
     for (axis, settings) in config.axes.iter().enumerate().take(config.bus.drives.into()) {
-        let [low_rad, high_rad] = ranges_rad[axis];
+        let turn_rad = || config.geometry.turn_range_rad();
+        let [low_rad, high_rad] = ranges_rad.get(axis).copied().unwrap_or_else(turn_rad);
         let needed_rad = ((high_rad - low_rad) * SEARCHED * 1e3).round() / 1e3;
         if settings.home.io.is_some() && settings.home.travel_max_rad < needed_rad {
             let place = format!("axes.{axis}.home.travel_max_rad");

@@ -82,6 +82,20 @@ fn pen_speed_mm_s(config: &Config) -> f64 {
     }
 }
 
+/// Highest speed of an axis that is led to its switch, rad/s; 0 without a switch. Axes that move together are led to both
+/// switches at once.
+fn search_rad_s(config: &Config, axis: usize) -> f64 {
+    let coupled = config.geometry.kind().coupled_axes();
+    let moving = if axis < coupled { 0..coupled } else { axis..axis + 1 };
+    let searched = config.axes[moving]
+        .iter()
+        .map(|axis| axis.home)
+        .filter(|home| home.io.is_some());
+    searched
+        .map(|home| home.speed_rad_s.abs().max(home.latch_rad_s.abs()))
+        .sum()
+}
+
 /// The configuration in the monitor's numbers.
 pub(super) fn cell(config: &Config) -> monitor::Cell {
     let usual = monitor::Cell::default();
@@ -103,10 +117,7 @@ pub(super) fn cell(config: &Config) -> monitor::Cell {
             feedback_gain_per_s: settings.feedback_gain_per_s,
             following_error_max_rad: settings.following_error_max_rad,
             output_max_rad_s: settings.output_max_rad_s,
-            search_rad_s: match settings.home.io {
-                Some(_) => settings.home.speed_rad_s.abs().max(settings.home.latch_rad_s.abs()),
-                None => 0.0,
-            },
+            search_rad_s: search_rad_s(config, axis),
             mark_rad: settings.sync_angle_rad,
             turn_rad: core::f64::consts::TAU / settings.gear.abs(),
         });

@@ -1,6 +1,6 @@
 //! What is unlikely about home switches.
 
-use super::{Checks, Finding, Gravity, range_rad, round};
+use super::{Checks, Finding, Gravity, round, searched_rad};
 use crate::axes::{AxisView, Motion, Quantity, axes};
 use crate::link::text;
 use etherpen::config::{Config, HomeSwitch};
@@ -44,7 +44,7 @@ fn key(axis: &AxisView, name: &str, quantity: Quantity) -> String {
 }
 
 fn travel(checks: &Checks<'_>, axis: &AxisView, home: &HomeSwitch) -> Option<String> {
-    let [low_rad, high_rad] = range_rad(checks.config, axis.index);
+    let [low_rad, high_rad] = searched_rad(checks.config, axis.index);
     let length_rad = high_rad - low_rad;
     let shown = |rad: f64| round(rad * axis.motion.factor());
     (home.travel_max_rad < length_rad).then(|| {
@@ -65,9 +65,9 @@ fn travel(checks: &Checks<'_>, axis: &AxisView, home: &HomeSwitch) -> Option<Str
 }
 
 fn direction(checks: &Checks<'_>, axis: &AxisView, home: &HomeSwitch) -> Option<String> {
-    let [low_rad, high_rad] = range_rad(checks.config, axis.index);
-    let sync_rad = checks.config.axes.get(axis.index)?.sync_angle_rad;
-    let is_upper = sync_rad > 0.5 * (low_rad + high_rad);
+    let [low_rad, high_rad] = searched_rad(checks.config, axis.index);
+    let switch_rad = *checks.config.switch_places_rad().get(axis.index)?;
+    let is_upper = switch_rad > 0.5 * (low_rad + high_rad);
     (is_upper != (home.speed_rad_s > 0.0)).then(|| {
         format!(
             "axis {} ({}) seeks its switch towards {} values, and has it at the {} end of its range; turn the sign of {}, or \
@@ -124,11 +124,12 @@ fn stopping(checks: &Checks<'_>, axis: &AxisView) -> Option<String> {
 
 /// How far the range of an axis goes on behind its home switch, rad; below 0 if the switch is outside.
 pub(crate) fn room_behind_switch_rad(config: &Config, axis: usize) -> Option<f64> {
-    let [low_rad, high_rad] = range_rad(config, axis);
+    let [low_rad, high_rad] = searched_rad(config, axis);
     let settings = config.axes.get(axis).filter(|axis| axis.home.io.is_some())?;
+    let switch_rad = *config.switch_places_rad().get(axis)?;
     Some(match settings.home.speed_rad_s > 0.0 {
-        true => high_rad - settings.sync_angle_rad,
-        false => settings.sync_angle_rad - low_rad,
+        true => high_rad - switch_rad,
+        false => switch_rad - low_rad,
     })
 }
 
@@ -159,12 +160,13 @@ fn height(checks: &Checks<'_>, axis: &AxisView, home: &HomeSwitch) -> Option<Str
 /// Where the machine is after homing, if that is outside its work area.
 fn outside_after(checks: &Checks<'_>) -> Option<Finding> {
     let config = checks.config;
-    let mut pose = JointAngles(config.axes.each_ref().map(|axis| axis.sync_angle_rad));
+    let mut places_rad = config.switch_places_rad();
     let driven = usize::from(config.bus.drives).min(MAIN_AXES);
-    for (angle_rad, axis) in pose.0.iter_mut().zip(&config.axes).take(driven) {
+    for (place_rad, axis) in places_rad.iter_mut().zip(&config.axes).take(driven) {
         axis.home.io?;
-        *angle_rad -= axis.home.pull_off_rad.copysign(axis.home.speed_rad_s);
+        *place_rad -= axis.home.pull_off_rad.copysign(axis.home.speed_rad_s);
     }
+    let pose = JointAngles(config.geometry.kind().joints(places_rad));
     let position = Kinematics::new(&config.geometry).ok()?.forward(&pose).ok()?;
     let why = WorkArea::new(&config.motion_settings()).ok()?.check(&position).err()?;
     let key = match axes(config).first()?.motion {
