@@ -18,11 +18,13 @@ const DTCM_BYTES_MAX: u32 = 96 * 1024;
 /// The functions in ITCM, as patterns for the linker.
 const ITCM_LIST: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/src/bin/nucleo/itcm.x");
 const RENEW: &str = "ETHERPEN_RENEW_ITCM";
-/// Tightly coupled memory for code, and for data.
 /// Parts of the names of functions that may lie in flash: they run only while the axes are led to their switches, and take a
-/// few hundred instructions, or once when a plan, a configuration or the network's addresses are taken over.
-const IN_FLASH: [&[&str]; 11] = [
+/// few hundred instructions, or once when the axes are homed, and when a plan, a configuration or the network's addresses are
+/// taken over.
+const IN_FLASH: [&[&str]; 13] = [
     &["7control", "6search"],
+    &["10robot_axes", "9RobotAxes4home17"],
+    &["10robot_axes", "9RobotAxes7home_at17"],
     &["7sampler", "9searching"],
     &["16leave_out_absent"],
     &["6cyclic", "Exchange", "5adopt"],
@@ -34,6 +36,7 @@ const IN_FLASH: [&[&str]; 11] = [
     &["7sampler", "Sampler", "17renew_controllers"],
     &["15torque_feedback", "11TorqueModel", "3new"],
 ];
+/// Tightly coupled memory for code, and for data.
 const ITCM: Range<u32> = 0..64 * 1024;
 const DTCM: Range<u32> = 0x2000_0000..0x2002_0000;
 /// Memory of what is neither critical nor reached by the Ethernet DMA.

@@ -10,7 +10,7 @@
 use super::Refusal;
 use crate::config::{Axis, Config};
 use crate::control::robot_axes::resolver_angle_rad;
-use crate::robots::{AXES, JointAngles, Kinematics, MAIN_AXES, Position};
+use crate::robots::{AXES, JointAngles, Kind, Kinematics, MAIN_AXES, Position};
 
 /// Largest difference between a pose and the resolver angles, rad: a tenth of the joint angle after which the resolver
 /// angle repeats.
@@ -47,6 +47,11 @@ impl HomingCheck {
             used: config.bus.drives.into(),
             kinematics: Kinematics::new(&config.geometry).ok(),
         }
+    }
+
+    /// Kind of the robot.
+    pub fn kind(&self) -> Kind {
+        self.kinematics.as_ref().map_or_else(Kind::default, Kinematics::kind)
     }
 
     /// Resolver positions within their motor turns, increments from 0.

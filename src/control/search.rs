@@ -3,7 +3,7 @@
 //! An axis goes towards its switch, stops, goes back off it, and comes again slowly: the position at which the switch then
 //! opens is the axis's zero. It ends off the switch. A switch that is open at the start is left first. Axes of the same order
 //! go together, each by itself; other axes stand. Where two axes move the tool together, two carriages are led to the switches
-//! ([`Kind::carriages`]), and the places of both drives at both switches give the zeros of both.
+//! ([`Kind::carriages`]): the sum and the difference of the axes at one switch each give the zeros of both.
 //!
 //! A switch is closed in operation and opens when it is reached, so that a broken wire is like a switch that is reached: it
 //! never closes, which ends the search.
@@ -13,7 +13,6 @@
 use crate::config::{Axis, HomeSwitch};
 use crate::motion::Setpoint;
 use crate::robots::{AXES, Kind};
-use core::f64::consts::TAU;
 use serde::{Deserialize, Serialize};
 
 /// Milliseconds for which a switch must keep a new state.
@@ -97,19 +96,19 @@ struct Switch {
     is_open: bool,
     /// Milliseconds for which the input has had the other state.
     other_ms: u8,
-    /// Positions of all axes when it changed, increments, and the setpoint of its own, rad.
-    changed_at: [i64; AXES],
+    /// The axis's position when it changed, increments, and its setpoint, rad.
+    changed_at: i64,
     changed_rad: f64,
 }
 
 impl Switch {
-    fn step(&mut self, is_open: bool, increments: &[i64; AXES], setpoint_rad: f64) {
+    fn step(&mut self, is_open: bool, increments: i64, setpoint_rad: f64) {
         if is_open == self.is_open {
             self.other_ms = 0;
             return;
         }
         if self.other_ms == 0 {
-            (self.changed_at, self.changed_rad) = (*increments, setpoint_rad);
+            (self.changed_at, self.changed_rad) = (increments, setpoint_rad);
         }
         self.other_ms += 1;
         if self.other_ms >= STEADY_MS {
@@ -136,8 +135,8 @@ struct AxisSearch {
     stops: bool,
     /// Where the first approach found the switch, by the setpoint, rad.
     first_rad: f64,
-    /// Positions of all axes at the switch, increments.
-    edge: Option<[i64; AXES]>,
+    /// Position of the switch, increments.
+    edge: Option<i64>,
 }
 
 impl AxisSearch {
@@ -167,8 +166,8 @@ impl AxisSearch {
         (self.begun_rad, self.closed_rad, self.stops) = (self.position_rad, None, false);
     }
 
-    /// Advances by a millisecond. `is_open` is the switch's input; `increments` the positions of all axes.
-    fn step(&mut self, is_open: Option<bool>, increments: &[i64; AXES]) -> Result<(), SearchFailure> {
+    /// Advances by a millisecond. `is_open` is the switch's input; `increments` the axis's position.
+    fn step(&mut self, is_open: Option<bool>, increments: i64) -> Result<(), SearchFailure> {
         let is_open = is_open.ok_or(SearchFailure::Missing)?;
         if !self.is_known {
             self.is_known = true;
@@ -274,11 +273,15 @@ impl AxisSearch {
 pub(super) struct Search {
     kind: Kind,
     axes: [AxisSearch; AXES],
-    /// Increments of the first two axes for a radian.
-    increments_per_rad: [f64; 2],
     rest_ms: u16,
     /// Whether the search was ended early: the axes stop.
     is_cancelled: bool,
+}
+
+/// Increments of the first axis for one of the second, where they move together.
+fn ratio([first, second, ..]: &[Axis; AXES]) -> f64 {
+    let per_turn = |axis: &Axis| axis.gear * f64::from(axis.increments_per_revolution);
+    per_turn(first) / per_turn(second)
 }
 
 /// What a millisecond of a search gives.
@@ -296,11 +299,9 @@ impl Search {
         let carriages_rad = kind.carriages(*pose_rad);
         let mut searches = core::array::from_fn(|axis| AxisSearch::new(&axes[axis], carriages_rad[axis]));
         searches.iter_mut().skip(used).for_each(|axis| axis.home.io = None);
-        let [first, second, ..] = axes;
         Self {
             kind,
             axes: searches,
-            increments_per_rad: [first, second].map(|axis| axis.gear * f64::from(axis.increments_per_revolution) / TAU),
             rest_ms: 0,
             is_cancelled: false,
         }
@@ -325,32 +326,41 @@ impl Search {
         }
     }
 
-    /// The position of each axis at its place in the configuration, increments; `None` for one without a switch.
-    ///
-    /// Two axes that move together are at their places where both switches open. The positions of both at each switch, as
-    /// lengths in increments of the one, give the sum and the difference of the belts there: half of their sum is where the
-    /// one is, half of their difference where the other is.
-    fn edges(&self) -> [Option<i64>; AXES] {
-        let places = self.axes.each_ref().map(|axis| axis.edge);
-        let mut edges = core::array::from_fn(|axis| places[axis].map(|place| place[axis]));
-        if let ([Some(first), Some(second), ..], 1..) = (&places, self.kind.coupled_axes()) {
-            let [per_rad, other_per_rad] = self.increments_per_rad;
-            let sum = |axis: usize| (first[axis] + second[axis]) as f64;
-            let difference = |axis: usize| (first[axis] - second[axis]) as f64;
-            let ratio = per_rad / other_per_rad;
-            edges[0] = Some(libm::round(0.5 * (sum(0) + difference(1) * ratio)) as i64);
-            edges[1] = Some(libm::round(0.5 * (sum(1) + difference(0) / ratio)) as i64);
+    /// Positions of what is led to the switches, from those of the axes, increments. Two axes that move together have their
+    /// sum and their difference, in increments of the first.
+    fn carriages(&self, axes: &[Axis; AXES], increments: &[i64; AXES]) -> [i64; AXES] {
+        let [first, second, third, fourth] = *increments;
+        match self.kind.coupled_axes() {
+            0 => *increments,
+            _ => {
+                let second = libm::round(second as f64 * ratio(axes)) as i64;
+                [first + second, first - second, third, fourth]
+            }
         }
-        edges
     }
 
-    /// Advances by a millisecond. `is_open` tells the state of an input of the configuration, `None` for one that does not
+    /// The position of each axis at its place in the configuration, increments; `None` for one without a switch. Two axes that
+    /// move together are at theirs where both switches open.
+    fn edges(&self, axes: &[Axis; AXES]) -> [Option<i64>; AXES] {
+        let edges = self.axes.each_ref().map(|axis| axis.edge);
+        match (self.kind.coupled_axes(), edges) {
+            (1.., [Some(sum), Some(difference), third, fourth]) => {
+                let second = (sum - difference) as f64 / (2.0 * ratio(axes));
+                let [first, second] = [0.5 * (sum + difference) as f64, second].map(|place| libm::round(place) as i64);
+                [Some(first), Some(second), third, fourth]
+            }
+            _ => edges,
+        }
+    }
+
+    /// Advances by a millisecond. `axes` are those of the start; `is_open` tells the state of an input of the configuration, `None` for one that does not
     /// arrive.
     ///
     /// # Errors
     /// The axis, from 0, whose search has failed.
     pub(super) fn step(
         &mut self,
+        axes: &[Axis; AXES],
         is_open: impl Fn(u8) -> Option<bool>,
         increments: &[i64; AXES],
     ) -> Result<Found, (u8, SearchFailure)> {
@@ -360,7 +370,8 @@ impl Search {
             .filter(|axis| !axis.is_over())
             .map(|axis| axis.home.order)
             .min();
-        for (number, axis) in (0..).zip(&mut self.axes) {
+        let carriages = self.carriages(axes, increments);
+        for (number, (axis, increments)) in (0..).zip(self.axes.iter_mut().zip(carriages)) {
             let Some(io) = axis.home.io.filter(|_| Some(axis.home.order) == order) else {
                 continue;
             };
@@ -384,13 +395,14 @@ impl Search {
         if self.rest_ms < REST_MS {
             return Ok(Found::Setpoint(self.setpoint()));
         }
-        Ok(Found::End((!self.is_cancelled).then(|| self.edges())))
+        Ok(Found::End((!self.is_cancelled).then(|| self.edges(axes))))
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use core::f64::consts::TAU;
     use proptest::prelude::*;
 
     const PER_RAD: f64 = 100_000.0;
@@ -419,7 +431,7 @@ mod tests {
                 Some((pose[axis] - switches_rad[axis]) * towards >= 0.0)
             };
             let increments = pose.map(|rad| (rad * PER_RAD) as i64);
-            let found = search.step(is_open, &increments);
+            let found = search.step(axes, is_open, &increments);
             match found {
                 Ok(Found::Setpoint(setpoint)) => {
                     for (fastest, speed) in fastest.iter_mut().zip(setpoint.velocity_rad_s) {
@@ -465,7 +477,10 @@ mod tests {
         // Open wherever the axis is: a broken wire.
         assert_eq!(run(&axes, [-0.1, -1e9, 0.0, 0.0]).0, Err((1, SearchFailure::StaysOpen)));
         let mut search = Search::new(Kind::Delta, &axes, AXES, &[0.0; AXES]);
-        assert_eq!(search.step(|_| None, &[0; AXES]), Err((0, SearchFailure::Missing)));
+        assert_eq!(
+            search.step(&axes, |_| None, &[0; AXES]),
+            Err((0, SearchFailure::Missing))
+        );
     }
 
     #[test]
@@ -476,7 +491,7 @@ mod tests {
             for ms in 0..60_000 {
                 let pose = search.setpoint().position_rad;
                 let increments = pose.map(|rad| (rad * PER_RAD) as i64);
-                match search.step(|_| Some(is_open(ms, pose[0])), &increments) {
+                match search.step(&axes, |_| Some(is_open(ms, pose[0])), &increments) {
                     Ok(Found::Setpoint(_)) => {}
                     end => return end,
                 }
@@ -552,7 +567,7 @@ mod tests {
                 for axis in 0..2 {
                     increments[axis] = counted_from[axis] + (joints[axis] * per_rad[axis]) as i64;
                 }
-                if let Found::End(found) = search.step(is_open, &increments).expect("no switch fails") {
+                if let Found::End(found) = search.step(&axes, is_open, &increments).expect("no switch fails") {
                     edges = found;
                     break;
                 }
@@ -575,12 +590,12 @@ mod tests {
         for cancelled_ms in [0, 5, 400] {
             let mut search = Search::new(Kind::Delta, &axes, AXES, &[0.0; AXES]);
             for _ in 0..cancelled_ms {
-                search.step(|_| Some(false), &[0; AXES]).unwrap();
+                search.step(&axes, |_| Some(false), &[0; AXES]).unwrap();
             }
             search.cancel();
             let mut end = None;
             for _ in 0..200 {
-                if let Found::End(found) = search.step(|_| Some(false), &[0; AXES]).unwrap() {
+                if let Found::End(found) = search.step(&axes, |_| Some(false), &[0; AXES]).unwrap() {
                     end = Some(found);
                     break;
                 }
@@ -594,8 +609,8 @@ mod tests {
     fn a_bouncing_switch_gives_the_place_of_its_first_contact() {
         let mut switch = Switch::default();
         for (ms, is_open) in [true, false, true, true, true].into_iter().enumerate() {
-            switch.step(is_open, &[ms as i64; AXES], 0.0);
+            switch.step(is_open, ms as i64, 0.0);
         }
-        assert_eq!((switch.is_open, switch.changed_at), (true, [2; AXES]));
+        assert_eq!((switch.is_open, switch.changed_at), (true, 2));
     }
 }

@@ -68,8 +68,6 @@ pub struct Coordinator<'a> {
     pen_heights_mm: Option<[f64; 2]>,
     /// Checks poses against the configuration. Absent until a configuration has been taken.
     homing_check: Option<HomingCheck>,
-    /// Kind of the configured robot.
-    kind: Kind,
     config_hash: Option<u64>,
     condition: Condition,
     /// Whether the joint angles were referenced at any time since start-up.
@@ -110,7 +108,6 @@ impl<'a> Coordinator<'a> {
             admission: None,
             pen_heights_mm: None,
             homing_check: None,
-            kind: Kind::default(),
             config_hash: None,
             condition: Condition::UNKNOWN,
             was_referenced: false,
@@ -332,7 +329,7 @@ impl<'a> Coordinator<'a> {
             }
             Action::ClearFault => self.tell_sampler(SamplerCommand::ClearFault),
             Action::Home { near } => self.tell_sampler(SamplerCommand::Home { near }),
-            Action::Search => self.tell_sampler(SamplerCommand::Search { kind: self.kind }),
+            Action::Search => self.tell_sampler(SamplerCommand::Search { kind: self.kind() }),
             Action::EndSearch => self.tell_sampler(SamplerCommand::EndSearch),
             Action::Follow { epoch } => self.tell_sampler(SamplerCommand::Follow { epoch }),
             Action::Place { pose, epoch } => self.tell_trajectory(MotionOrder::Place { pose, epoch }),
@@ -341,6 +338,12 @@ impl<'a> Coordinator<'a> {
             Action::RecoverBus => self.recovery_due = true,
             Action::SetOutput { io, value } => self.tell_sampler(SamplerCommand::SetOutput { io, value }),
         }
+    }
+
+    /// Kind of the configured robot.
+    fn kind(&self) -> Kind {
+        let check = self.homing_check.as_ref();
+        check.map_or_else(Kind::default, HomingCheck::kind)
     }
 
     fn tell_sampler(&mut self, command: SamplerCommand) {

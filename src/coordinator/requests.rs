@@ -35,7 +35,6 @@ impl Coordinator<'_> {
         self.admission = Some(Admission::new(&config.motion_settings())?);
         self.pen_heights_mm = config.pen_heights_mm();
         self.homing_check = Some(HomingCheck::new(config));
-        self.kind = config.geometry.kind();
         self.config_hash = Some(hash);
         self.slaves.clear();
         // An axis without a drive has no place.

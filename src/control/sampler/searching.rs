@@ -55,7 +55,7 @@ impl<G: IoTrigger + IoGroup> Sampler<'_, G> {
         let Some(search) = &mut self.search else {
             return (false, false);
         };
-        match search.step(|input| io.is_open(input), increments) {
+        match search.step(&self.axes, |input| io.is_open(input), increments) {
             Ok(Found::Setpoint(setpoint)) => {
                 self.window.advance();
                 self.window.push(&setpoint);

@@ -239,6 +239,18 @@ impl Kinematics {
         }
     }
 
+    /// Kind of this robot.
+    #[must_use]
+    pub fn kind(&self) -> Kind {
+        match self {
+            Self::Delta(_) => Kind::Delta,
+            Self::Gantry(_) => Kind::Gantry,
+            Self::CoreXy(_) => Kind::CoreXy,
+            Self::Scara(_) => Kind::Scara,
+            Self::LinearDelta(_) => Kind::LinearDelta,
+        }
+    }
+
     /// Nouns for messages about this robot.
     #[must_use]
     pub fn words(&self) -> Words {
