@@ -89,6 +89,8 @@ struct Desk<'e> {
     was_stopped: bool,
     /// Points of ink on earlier sheets.
     inked: usize,
+    /// The same of the sheet before, and whether a quick stop was on it.
+    before: (usize, bool),
     /// Whether the drawing on this sheet is in the log; then a person resumes.
     has_begun: bool,
     /// Whether the board has begun to draw on this sheet.
@@ -142,6 +144,7 @@ impl<'e> Desk<'e> {
             stop_until_ms: 0,
             was_stopped: false,
             inked: 0,
+            before: (0, false),
             has_begun: false,
             has_drawn: false,
             is_end_unwritten: false,
@@ -250,7 +253,12 @@ impl<'e> Desk<'e> {
 
     fn act(&mut self, next: Next) {
         match next {
-            Next::Resume(plan) => self.draw(*plan),
+            Next::Resume(plan) => {
+                if plan.drawing.held && !self.has_drawn {
+                    self.take_sheet_before();
+                }
+                self.draw(*plan);
+            }
             Next::Anew => {
                 self.new_sheet();
                 let port = PortName::Serial("/dev/ttyACM0".into());
@@ -290,7 +298,15 @@ impl<'e> Desk<'e> {
         self.world.look(|cell, _| ink::points(cell.ink()))
     }
 
+    /// What the board still holds was begun on the sheet before, of which the program tells the person.
+    fn take_sheet_before(&mut self) {
+        let (inked, was_stopped) = self.before;
+        self.inked = inked;
+        (self.was_stopped, self.has_drawn) = (self.was_stopped || was_stopped, true);
+    }
+
     fn new_sheet(&mut self) {
+        self.before = (self.inked, self.was_stopped);
         self.inked = self.points();
         (self.was_stopped, self.has_drawn) = (self.stop_shows_open(), false);
     }

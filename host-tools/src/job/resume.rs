@@ -387,11 +387,16 @@ fn from_firmware(
     let vertices = given
         .as_ref()
         .map_or(path, |(remainder, _)| remainder.vertices.as_slice());
-    let notice = format!(
+    let mut notice = format!(
         "the firmware still holds this drawing, {} of {} vertices executed: going on exactly there",
         ack.executed,
         vertices.len()
     );
+    if !entry.may_have_ink() {
+        // All drawings of a path have one number: this may be one before the one that the log has.
+        notice += "; the log has not seen it begin, so an empty sheet is not the one that it is on: then end it (etherpen \
+                   cancel) and draw the file anew";
+    }
     let drawing = DrawTask {
         held: true,
         number: entry.number,
@@ -624,6 +629,11 @@ mod tests {
         };
         let held = plan(vec![record.clone()], &machine(Mode::Holding), &config, &path).unwrap();
         assert!(held.drawing.held);
+        assert!(!held.notice.contains("empty sheet"), "{}", held.notice);
+        let mut unseen = record.clone();
+        unseen.entry.strokes = 0;
+        let other_sheet = plan(vec![unseen], &machine(Mode::Holding), &config, &path).unwrap();
+        assert!(other_sheet.notice.contains("empty sheet"), "{}", other_sheet.notice);
         record.entry.missing_from = Some(30);
         let refused = plan(vec![record.clone()], &machine(Mode::Holding), &config, &path);
         let refused = refused.err().expect("stroke is missing");
