@@ -200,9 +200,10 @@ impl Episode {
         let machine = Machine::load(&self.machine)?;
         let mut table = Value::try_from(machine.config).map_err(|cause| cause.to_string())?;
         for (place, value) in &self.config {
+            // A value that the machine leaves out, as its home switch, is added; whether there is such a value is asked below.
             let found = place.split('.').try_fold(&mut table, |within, name| match within {
                 Value::Array(items) => items.get_mut(name.parse::<usize>().ok()?),
-                Value::Table(items) => items.get_mut(name),
+                Value::Table(items) => Some(items.entry(name).or_insert_with(|| value.clone())),
                 _ => None,
             });
             *found.ok_or_else(|| format!("the configuration has no value {place}"))? = value.clone();
@@ -211,6 +212,7 @@ impl Episode {
         config
             .check()
             .map_err(|cause| crate::link::text::config_error(&cause))?;
+        config.check_io().map_err(|cause| crate::link::text::io_error(&cause))?;
         Ok(config)
     }
 

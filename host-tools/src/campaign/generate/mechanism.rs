@@ -10,7 +10,6 @@ use super::setup::END_RAD;
 use crate::axes::{Motion, motion};
 use crate::settings::checking;
 use etherpen::config::{AxisMode, Config, WorkVolume};
-use etherpen::control::search::way_behind_switch_rad;
 use etherpen::motion::WorkArea;
 use etherpen::robots::{AXES, JointAngles, Kinematics, MAIN_AXES};
 use std::f64::consts::TAU;
@@ -46,7 +45,7 @@ const RESOLUTIONS: [i64; 9] = [
 /// Values of an axis's encoder.
 const ENCODER: [&str; 2] = ["increments_per_revolution", "sync_increments"];
 /// Travel of a search for a home switch, in ways from one end of the axis to the other.
-const SEARCHED: f64 = 1.1;
+pub(super) const SEARCHED: f64 = 1.1;
 /// The board's own address, the segment's on the same network, and one behind a gateway, with it.
 const OWN: &str = "10.0.2.15/24";
 const NEAR: &str = "10.0.2.2";
@@ -175,40 +174,6 @@ fn search_farther(episode: &mut Episode) {
             let place = format!("axes.{axis}.home.travel_max_rad");
             episode.config.insert(place, Value::Float(needed_rad));
         }
-    }
-}
-
-/// Gives linear axes with a weak quick stop the room behind their home switches in which a search comes to rest: without it they
-/// would run against their ends, of which `etherpen config check` warns.
-pub(super) fn make_room_behind_switches(episode: &mut Episode) {
-    let (Ok(config), before) = (episode.configuration(), episode.config.clone()) else {
-        return;
-    };
-    let Ok(Value::Table(geometry)) = Value::try_from(config.geometry) else {
-        return;
-    };
-    for (axis, name) in ["x_range_mm", "y_range_mm", "z_range_mm"].into_iter().enumerate() {
-        let ends = geometry.get(name).and_then(Value::as_array);
-        let ends: Option<Vec<f64>> = ends.map(|ends| ends.iter().filter_map(Value::as_float).collect());
-        let motion = motion(config.geometry.kind(), axis);
-        let (Some(&[low, high]), Motion::Linear) = (ends.as_deref(), motion) else {
-            continue;
-        };
-        let Some(room_rad) = checking::room_behind_switch_rad(&config, axis) else {
-            continue;
-        };
-        let settings = &config.axes[axis];
-        let missing_mm = ((way_behind_switch_rad(settings) - room_rad) * motion.factor()).ceil();
-        let wider = match settings.home.speed_rad_s > 0.0 {
-            _ if missing_mm <= 0.0 => continue,
-            true => [low, high + missing_mm],
-            false => [low - missing_mm, high],
-        };
-        let wider = Value::Array(wider.map(Value::Float).to_vec());
-        episode.config.insert(format!("geometry.{name}"), wider);
-    }
-    if episode.configuration().is_err() {
-        episode.config = before;
     }
 }
 

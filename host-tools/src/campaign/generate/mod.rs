@@ -9,6 +9,7 @@ mod mishaps;
 mod orders;
 mod seldom;
 mod setup;
+mod switches;
 #[cfg(test)]
 mod tests;
 
@@ -89,6 +90,7 @@ pub fn episode(machine: &Machine, seed: u64, profile: Profile) -> Episode {
     }
     setup::vary(&mut episode, machine, seed, &mut chance);
     mechanism::vary(&mut episode, seed);
+    switches::add(&mut episode, seed);
     seldom::handle(&mut episode, seed);
     match profile {
         Profile::Terminals if machine.chain.terminals.is_empty() => setup::with_terminals(&mut episode, machine),
@@ -105,7 +107,7 @@ pub fn episode(machine: &Machine, seed: u64, profile: Profile) -> Episode {
         episode.events.sort_by_key(|event| event.at_ms);
     }
     // Last: quick stops become weaker before.
-    mechanism::make_room_behind_switches(&mut episode);
+    switches::make_room_behind(&mut episode);
     episode
 }
 

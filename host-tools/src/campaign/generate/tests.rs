@@ -169,13 +169,41 @@ fn some_machines_stand_folded_at_the_start_and_others_never() {
         let folds = (0..200).filter(|seed| {
             let config = episode(&machine, *seed, Profile::Quiet).configuration();
             let config = config.expect("a valid configuration");
+            let has_other_switches = config.has_home_switches() != machine.config.has_home_switches();
             (config.axes.iter().zip(&machine.config.axes))
+                .filter(|_| !has_other_switches)
                 .any(|(axis, usual)| axis.sync_angle_rad != usual.sync_angle_rad)
         });
         let folds = folds.count();
         match machine.name.as_str() {
             "irb340" | "scara" => assert!((10..100).contains(&folds), "{}: {folds} of 200", machine.name),
             _ => assert_eq!(folds, 0, "{}", machine.name),
+        }
+    }
+}
+
+#[test]
+fn axes_that_move_together_have_switches_in_every_other_episode() {
+    for machine in MACHINES.map(|machine| self::machine(machine.name)) {
+        let configs: Vec<_> = configurations(&machine).collect();
+        let searching: Vec<_> = configs.iter().filter(|config| config.has_home_switches()).collect();
+        let expected = match (
+            machine.config.has_home_switches(),
+            machine.config.geometry.kind().coupled_axes(),
+        ) {
+            (true, _) => configs.len()..configs.len() + 1,
+            (false, 0) => 0..1,
+            (false, _) => configs.len() / 3..configs.len() * 2 / 3,
+        };
+        assert!(
+            expected.contains(&searching.len()),
+            "{}: {}",
+            machine.name,
+            searching.len()
+        );
+        for config in searching {
+            config.check().expect("values within their bounds");
+            config.check_io().expect("a switch for each");
         }
     }
 }
