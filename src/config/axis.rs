@@ -80,7 +80,9 @@ pub struct Axis {
 
 /// How an axis is homed by a switch; without an input it is homed by its encoder, at its synchronisation mark.
 ///
-/// The joint's position at the switch is the axis's `sync_angle_rad`.
+/// The joint's position at the switch is the axis's `sync_angle_rad`. Of two axes that move the tool together, the first has
+/// the switch of what their sum moves, the second that of their difference; where both open, the axes are at their
+/// `sync_angle_rad`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct HomeSwitch {

@@ -249,12 +249,17 @@ impl Config {
         }
     }
 
-    /// What the search of another axis adds to the speed of this one, at most, rad/s: two axes that move together are led to
-    /// both switches at once.
+    /// What the search of another axis adds to the speed of this one, at most, rad/s: two axes that move together, and have one
+    /// order, are led to both switches at once.
     fn search_beside_rad_s(&self, axis: usize) -> f64 {
         let coupled = self.geometry.kind().coupled_axes();
+        let Some(order) = self.axes.get(axis).map(|values| values.home.order) else {
+            return 0.0;
+        };
         let others = self.axes.iter().take(coupled).enumerate();
-        let searched = others.filter(|(other, values)| axis < coupled && *other != axis && values.home.io.is_some());
+        let searched = others.filter(|(other, values)| {
+            axis < coupled && *other != axis && values.home.io.is_some() && values.home.order == order
+        });
         searched.map(|(_, values)| values.home.speed_rad_s.abs()).sum()
     }
 

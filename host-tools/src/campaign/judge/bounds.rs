@@ -83,17 +83,19 @@ fn pen_speed_mm_s(config: &Config) -> f64 {
 }
 
 /// Highest speed of an axis that is led to its switch, rad/s; 0 without a switch. Axes that move together are led to both
-/// switches at once.
+/// switches at once if they have one order.
 fn search_rad_s(config: &Config, axis: usize) -> f64 {
     let coupled = config.geometry.kind().coupled_axes();
     let moving = if axis < coupled { 0..coupled } else { axis..axis + 1 };
-    let searched = config.axes[moving]
-        .iter()
-        .map(|axis| axis.home)
-        .filter(|home| home.io.is_some());
-    searched
-        .map(|home| home.speed_rad_s.abs().max(home.latch_rad_s.abs()))
-        .sum()
+    let homes = config.axes[moving].iter().map(|axis| axis.home);
+    let searched = homes.filter(|home| home.io.is_some());
+    let order = config.axes[axis].home.order;
+    let at_once = searched.clone().all(|home| home.order == order);
+    let speeds_rad_s = searched.map(|home| home.speed_rad_s.abs().max(home.latch_rad_s.abs()));
+    match at_once {
+        true => speeds_rad_s.sum(),
+        false => speeds_rad_s.fold(0.0, f64::max),
+    }
 }
 
 /// The configuration in the monitor's numbers.

@@ -282,6 +282,72 @@ mod tests {
         );
     }
 
+    /// Two belts with a switch at the lower ends of x and y, -167 mm, where the belts are at -334 and 0 mm.
+    fn with_switches(changes: &[(&str, &str)]) -> Vec<Finding> {
+        let belts = include_str!("../../../../samples/machines/corexy.toml");
+        let home = |switch: &str, sync: &str| {
+            format!(
+                "sync_mm = {sync}\n[axes.home]\nswitch = \"{switch}\"\nspeed_mm_s = -60.0\nlatch_mm_s = 6.0\n\
+                 pull_off_mm = 20.0\ntravel_max_mm = 374.0\n"
+            )
+        };
+        let mut text = belts.replacen("sync_mm = 0.0\n", &home("x_home", "-334.0"), 1);
+        text = text.replacen("sync_mm = 0.0\n", &home("y_home", "0.0"), 1);
+        for (name, bit) in [("x_home", 1), ("y_home", 2)] {
+            text +=
+                &format!("\n[[io]]\nname = \"{name}\"\nslave = 1\ndirection = \"in\"\nbit = {bit}\nrole = \"home\"\n");
+        }
+        for (from, to) in changes {
+            assert!(text.contains(from), "{from}");
+            text = text.replacen(from, to, 1);
+        }
+        check(&text)
+    }
+
+    #[test]
+    fn axes_that_move_together_have_their_places_where_both_switches_open() {
+        assert_eq!(with_switches(&[]), []);
+        // The switch of y is beyond the end of y: a belt more is also a carriage less.
+        let beyond = with_switches(&[("sync_mm = 0.0", "sync_mm = 30.0")]);
+        assert!(
+            beyond.iter().any(|found| found.gravity == Gravity::Error
+                && found.text.contains("-182 mm at its switch")
+                && found.text.contains("-170 to 170 mm")),
+            "{beyond:#?}"
+        );
+        let away = with_switches(&[("speed_mm_s = -60.0", "speed_mm_s = 60.0")]);
+        assert!(away.iter().any(|found| found.text.contains("lower end")), "{away:#?}");
+        let short = with_switches(&[("travel_max_mm = 374.0", "travel_max_mm = 300.0")]);
+        assert!(
+            short.iter().any(|found| found.text.contains("340 mm long")),
+            "{short:#?}"
+        );
+        let outside = with_switches(&[("pull_off_mm = 20.0", "pull_off_mm = 10.0")]);
+        assert!(
+            outside.iter().any(|found| found.text.contains("x -157.0")),
+            "{outside:#?}"
+        );
+        let one = with_switches(&[(
+            "[axes.home]\nswitch = \"y_home\"\nspeed_mm_s = -60.0\nlatch_mm_s = 6.0\npull_off_mm = 20.0\ntravel_max_mm = 374.0\n",
+            "",
+        )]);
+        assert!(
+            one.iter()
+                .any(|found| found.gravity == Gravity::Error && found.text.contains("moves together")),
+            "{one:#?}"
+        );
+        // Both searches at once, at 1000 and 600 mm/s, are faster than a belt may be; one behind the other they are not.
+        let fast = [
+            ("speed_mm_s = -60.0", "speed_mm_s = -1000.0"),
+            ("speed_mm_s = -60.0", "speed_mm_s = -600.0"),
+        ];
+        let is_refused = |found: &Finding| found.gravity == Gravity::Error && found.text.contains("speed_mm_s");
+        let together = with_switches(&fast);
+        assert!(together.iter().any(is_refused), "{together:#?}");
+        let in_turn = with_switches(&[fast[0], ("speed_mm_s = -60.0", "order = 1\nspeed_mm_s = -600.0")]);
+        assert!(!in_turn.iter().any(is_refused), "{in_turn:#?}");
+    }
+
     #[test]
     fn a_switch_outside_the_range_is_an_error() {
         let outside = finding("sync_mm = 2.0", "sync_mm = -2.0");
