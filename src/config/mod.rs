@@ -207,12 +207,12 @@ impl Config {
         (self.pen.kind.is_output() && !has_height_axis).then_some([down_mm, down_mm + lift_mm])
     }
 
-    /// Places at which the home switches open, rad, of the carriages that are led to them
-    /// ([`Kind::carriages`](crate::robots::Kind::carriages)).
+    /// Places at which the home switches open, rad, of the slides that are led to them
+    /// ([`Kind::slides`](crate::robots::Kind::slides)).
     #[must_use]
     pub fn switch_places_rad(&self) -> [f64; AXES] {
         let joints = self.axes.each_ref().map(|axis| axis.sync_angle_rad);
-        self.geometry.kind().carriages(joints)
+        self.geometry.kind().slides(joints)
     }
 
     /// Checks that each switch tells the place of one axis, and that axes which move together have one each.

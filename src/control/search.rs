@@ -2,8 +2,8 @@
 //!
 //! An axis goes towards its switch, stops, goes back off it, and comes again slowly: the position at which the switch then
 //! opens is the axis's zero. It ends off the switch. A switch that is open at the start is left first. Axes of the same order
-//! go together, each by itself; other axes stand. Where two axes move the tool together, two carriages are led to the switches
-//! ([`Kind::carriages`]): the sum and the difference of the axes at one switch each give the zeros of both.
+//! go together, each by itself; other axes stand. Where two axes move the tool together, two slides are led to the switches
+//! ([`Kind::slides`]): the sum and the difference of the axes at one switch each give the zeros of both.
 //!
 //! A switch is closed in operation and opens when it is reached, so that a broken wire is like a switch that is reached: it
 //! never closes, which ends the search.
@@ -117,7 +117,7 @@ impl Switch {
     }
 }
 
-/// The search of one axis, or of a carriage that two axes move together.
+/// The search of one axis, or of a slide that two axes move together.
 #[derive(Clone, Copy, Debug)]
 struct AxisSearch {
     home: HomeSwitch,
@@ -296,8 +296,8 @@ pub(super) enum Found {
 impl Search {
     /// A search of the first `used` axes that begins at this pose, at rest.
     pub(super) fn new(kind: Kind, axes: &[Axis; AXES], used: usize, pose_rad: &[f64; AXES]) -> Self {
-        let carriages_rad = kind.carriages(*pose_rad);
-        let mut searches = core::array::from_fn(|axis| AxisSearch::new(&axes[axis], carriages_rad[axis]));
+        let slides_rad = kind.slides(*pose_rad);
+        let mut searches = core::array::from_fn(|axis| AxisSearch::new(&axes[axis], slides_rad[axis]));
         searches.iter_mut().skip(used).for_each(|axis| axis.home.io = None);
         Self {
             kind,
@@ -328,7 +328,7 @@ impl Search {
 
     /// Positions of what is led to the switches, from those of the axes, increments. Two axes that move together have their
     /// sum and their difference, in increments of the first.
-    fn carriages(&self, axes: &[Axis; AXES], increments: &[i64; AXES]) -> [i64; AXES] {
+    fn slides(&self, axes: &[Axis; AXES], increments: &[i64; AXES]) -> [i64; AXES] {
         let [first, second, third, fourth] = *increments;
         match self.kind.coupled_axes() {
             0 => *increments,
@@ -370,8 +370,8 @@ impl Search {
             .filter(|axis| !axis.is_over())
             .map(|axis| axis.home.order)
             .min();
-        let carriages = self.carriages(axes, increments);
-        for (number, (axis, increments)) in (0..).zip(self.axes.iter_mut().zip(carriages)) {
+        let slides = self.slides(axes, increments);
+        for (number, (axis, increments)) in (0..).zip(self.axes.iter_mut().zip(slides)) {
             let Some(io) = axis.home.io.filter(|_| Some(axis.home.order) == order) else {
                 continue;
             };
@@ -529,7 +529,7 @@ mod tests {
     }
 
     proptest! {
-        /// Two belts that move two carriages: the switches see the carriages, and the drives count from anywhere, in units
+        /// Two belts that move two slides: the switches see the slides, and the drives count from anywhere, in units
         /// and directions of their own.
         #[test]
         fn two_switches_give_the_places_of_two_axes_that_move_together(
@@ -558,10 +558,10 @@ mod tests {
                 prop_assert!(speeds[0].abs() <= 0.9 + 1e-9 && speeds[1].abs() <= 0.9 + 1e-9, "{speeds:?}");
                 let joints: [f64; AXES] =
                     core::array::from_fn(|axis| first[axis] + commanded.position_rad[axis] - begun[axis]);
-                let carriages = [0.5 * (joints[0] + joints[1]), 0.5 * (joints[0] - joints[1])];
+                let slides = [0.5 * (joints[0] + joints[1]), 0.5 * (joints[0] - joints[1])];
                 let is_open = |io: u8| {
                     let axis = usize::from(io);
-                    Some((carriages[axis] - places_rad[axis]) * axes[axis].home.speed_rad_s >= 0.0)
+                    Some((slides[axis] - places_rad[axis]) * axes[axis].home.speed_rad_s >= 0.0)
                 };
                 let mut increments = [0; AXES];
                 for axis in 0..2 {

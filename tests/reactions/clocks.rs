@@ -59,7 +59,7 @@ again! {
         a_search_that_is_ended_early_leaves_a_homed_machine_unhomed_where_it_stands,
         a_search_of_two_belts_fails_as_any_other_and_the_machine_comes_back,
         a_way_that_is_too_short_ends_the_search_before_the_end_stop,
-        two_belts_find_the_switches_of_both_carriages_from_wherever_they_stand;
+        two_belts_find_the_switches_of_both_slides_from_wherever_they_stand;
     io [crate::io]
         an_open_stop_or_door_is_a_quick_stop_at_once_at_any_speed_and_heals,
         without_power_an_open_door_keeps_it_away_and_an_open_stop_is_a_fault,

@@ -268,7 +268,7 @@ pub(crate) fn a_search_ends_at_a_stop_a_lost_terminal_a_lost_drive_and_a_silent_
 }
 
 #[test]
-pub(crate) fn two_belts_find_the_switches_of_both_carriages_from_wherever_they_stand() {
+pub(crate) fn two_belts_find_the_switches_of_both_slides_from_wherever_they_stand() {
     for (seed, orders) in [(1, [0, 0]), (2, [0, 1]), (3, [1, 0]), (4, [0, 0])] {
         let mut config = belts();
         for (axis, order) in config.axes.iter_mut().zip(orders) {
@@ -282,7 +282,7 @@ pub(crate) fn two_belts_find_the_switches_of_both_carriages_from_wherever_they_s
         for ms in 0.. {
             robot.run(1);
             assert!(ms < SEARCH_MAX_MS, "{:?}", robot.fault());
-            // Each carriage keeps the speed of its search.
+            // Each slide keeps the speed of its search.
             let [a, b, ..] = robot.cell().velocities.0;
             fastest = fastest.max((0.5 * (a + b)).abs()).max((0.5 * (a - b)).abs());
             if robot.mode() != Mode::Homing {

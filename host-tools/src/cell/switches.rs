@@ -34,7 +34,7 @@ pub(super) fn starts_rad(config: &Config, driven: usize, offset_max_rad: f64, ra
     starts_rad
 }
 
-/// A switch of an axis, or of a carriage that two axes move together.
+/// A switch of an axis, or of a slide that two axes move together.
 #[derive(Clone, Copy, Debug)]
 struct Switch {
     axis: usize,
@@ -108,7 +108,7 @@ impl Switches {
     /// Moves the contacts with the joints; returns the terminals whose inputs have changed.
     pub(super) fn step(&mut self, joints_rad: &[f64; AXES]) -> Vec<(usize, Vec<u8>)> {
         let mut changed = Vec::new();
-        let places_rad = self.kind.carriages(*joints_rad);
+        let places_rad = self.kind.slides(*joints_rad);
         for switch in &self.switches {
             let is_closed = places_rad
                 .get(switch.axis)

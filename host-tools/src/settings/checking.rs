@@ -235,7 +235,7 @@ fn range_rad(config: &Config, axis: usize) -> [f64; 2] {
 
 /// Lowest and highest position of what is led to the switch of an axis, from 0, rad.
 fn searched_rad(config: &Config, axis: usize) -> [f64; 2] {
-    let main = config.geometry.carriage_ranges_rad();
+    let main = config.geometry.slide_ranges_rad();
     main.get(axis).copied().unwrap_or_else(|| range_rad(config, axis))
 }
 

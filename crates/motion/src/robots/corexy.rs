@@ -85,7 +85,7 @@ impl CoreXyGeometry {
     }
 
     /// Lowest and highest angle that stand for x, y and z, rad.
-    pub(super) fn carriage_ranges_rad(&self) -> [[f64; 2]; MAIN_AXES] {
+    pub(super) fn slide_ranges_rad(&self) -> [[f64; 2]; MAIN_AXES] {
         [self.x_range_mm, self.y_range_mm, self.z_range_mm].map(angles_rad)
     }
 

@@ -175,11 +175,11 @@ impl Geometry {
         }
     }
 
-    /// Lowest and highest position of each of [`Kind::carriages`], rad.
+    /// Lowest and highest position of each of [`Kind::slides`], rad.
     #[must_use]
-    pub fn carriage_ranges_rad(&self) -> [[f64; 2]; MAIN_AXES] {
+    pub fn slide_ranges_rad(&self) -> [[f64; 2]; MAIN_AXES] {
         match self {
-            Self::CoreXy(geometry) => geometry.carriage_ranges_rad(),
+            Self::CoreXy(geometry) => geometry.slide_ranges_rad(),
             Self::Delta(_) | Self::Gantry(_) | Self::Scara(_) | Self::LinearDelta(_) => self.ranges_rad(),
         }
     }

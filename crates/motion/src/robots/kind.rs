@@ -63,9 +63,9 @@ impl Kind {
     }
 
     /// Positions of what can be led to a switch by itself, from those of the joints, rad: of the joints themselves, and for
-    /// coupled axes of the carriages that they move together.
+    /// coupled axes of the slides that they move together.
     #[must_use]
-    pub fn carriages(self, joints: [f64; AXES]) -> [f64; AXES] {
+    pub fn slides(self, joints: [f64; AXES]) -> [f64; AXES] {
         let [a, b, third, fourth] = joints;
         match self.coupled_axes() {
             0 => joints,
@@ -73,12 +73,12 @@ impl Kind {
         }
     }
 
-    /// Positions of the joints, from those of the carriages, rad: the inverse of [`Self::carriages`]. Also for speeds.
+    /// Positions of the joints, from those of the slides, rad: the inverse of [`Self::slides`]. Also for speeds.
     #[must_use]
-    pub fn joints(self, carriages: [f64; AXES]) -> [f64; AXES] {
-        let [x, y, third, fourth] = carriages;
+    pub fn joints(self, slides: [f64; AXES]) -> [f64; AXES] {
+        let [x, y, third, fourth] = slides;
         match self.coupled_axes() {
-            0 => carriages,
+            0 => slides,
             _ => [x + y, x - y, third, fourth],
         }
     }

@@ -165,7 +165,7 @@ fn mirror(episode: &mut Episode, usual: &Config, parts: &[Part]) {
 /// Lets the search for a home switch go from one end of the axis to the other.
 fn search_farther(episode: &mut Episode) {
     let Ok(config) = episode.configuration() else { return };
-    let ranges_rad = config.geometry.carriage_ranges_rad();
+    let ranges_rad = config.geometry.slide_ranges_rad();
     for (axis, settings) in config.axes.iter().enumerate().take(config.bus.drives.into()) {
         let turn_rad = || config.geometry.turn_range_rad();
         let [low_rad, high_rad] = ranges_rad.get(axis).copied().unwrap_or_else(turn_rad);

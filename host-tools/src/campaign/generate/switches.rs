@@ -35,7 +35,7 @@ pub(super) fn add(episode: &mut Episode, seed: u64) {
     let (mut points, mut places_rad) = (config.io.clone(), config.switch_places_rad());
     for axis in 0..coupled {
         let is_upper = chance.one_in(2);
-        let [low_rad, high_rad] = config.geometry.carriage_ranges_rad()[axis];
+        let [low_rad, high_rad] = config.geometry.slide_ranges_rad()[axis];
         let area_mm = [config.work_area.x_mm, config.work_area.y_mm][axis];
         let from_end_rad = chance.between(FROM_END_MM[0], FROM_END_MM[1]) / LINEAR_MM_PER_RAD;
         let (switch_rad, inside_rad, towards) = match is_upper {

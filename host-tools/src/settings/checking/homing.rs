@@ -307,7 +307,7 @@ mod tests {
     #[test]
     fn axes_that_move_together_have_their_places_where_both_switches_open() {
         assert_eq!(with_switches(&[]), []);
-        // The switch of y is beyond the end of y: a belt more is also a carriage less.
+        // The switch of y is beyond the end of y: a belt more is also a slide less.
         let beyond = with_switches(&[("sync_mm = 0.0", "sync_mm = 30.0")]);
         assert!(
             beyond.iter().any(|found| found.gravity == Gravity::Error
