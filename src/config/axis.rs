@@ -81,8 +81,8 @@ pub struct Axis {
 /// How an axis is homed by a switch; without an input it is homed by its encoder, at its synchronisation mark.
 ///
 /// The joint's position at the switch is the axis's `sync_angle_rad`. Of two axes that move the tool together, the first has
-/// the switch of what their sum moves, the second that of their difference; where both open, the axes are at their
-/// `sync_angle_rad`.
+/// the switch of half of their sum, the second that of half of their difference, and speeds and ways are those of the halves
+/// ([`Kind::slides`](crate::robots::Kind::slides)); where both open, the axes are at their `sync_angle_rad`.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
 pub struct HomeSwitch {

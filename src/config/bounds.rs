@@ -32,7 +32,7 @@ impl Field {
             ..Config::default()
         };
         let scalars = config.scalars();
-        let axis = config.axes[0].scalars(0.0, 0.0, 0);
+        let axis = config.axes[0].scalars(0.0, Searched::default(), 0);
         let row = usize::from(self.row);
         match self.axis {
             None => scalars.get(row).map_or("unknown", |bound| bound.name),
@@ -76,6 +76,15 @@ const SCALAR_BOUNDS: usize = Settings::BOUNDS + PEN_BOUNDS + TOOL_BOUNDS + BUS_B
 /// Rows of an axis in the table of bounds.
 const AXIS_BOUNDS: usize = 34;
 
+/// Speeds of an axis in a search.
+#[derive(Clone, Copy, Debug, Default)]
+struct Searched {
+    /// Its highest speed, rad/s; 0 without a switch.
+    speed_rad_s: f64,
+    /// Highest speed of the search that it may have, rad/s.
+    most_rad_s: f64,
+}
+
 impl Axis {
     /// Bounds of the identity. An axis that tells its drive by alias, switches or serial number needs one that no other
     /// axis expects: the first of these that is set has no allowed value when `same` expects the same drive.
@@ -103,9 +112,8 @@ impl Axis {
         ]
     }
 
-    /// Bounds of homing by a switch; without a switch every number is allowed. `beside_rad_s` is what the search of another
-    /// axis adds to the speed of this one.
-    fn home_bounds(&self, beside_rad_s: f64) -> [Bound; 4] {
+    /// Bounds of homing by a switch; without a switch every number is allowed.
+    fn home_bounds(&self, searched: Searched) -> [Bound; 4] {
         let home = &self.home;
         let within = |name, value: f64, low, high| match home.io {
             Some(_) => bound(name, value, low, high),
@@ -113,12 +121,7 @@ impl Axis {
         };
         let speed_rad_s = home.speed_rad_s.abs();
         [
-            within(
-                "axes.home.speed_rad_s",
-                speed_rad_s,
-                1.0e-3,
-                self.output_max_rad_s.abs() - beside_rad_s,
-            ),
+            within("axes.home.speed_rad_s", speed_rad_s, 1.0e-3, searched.most_rad_s),
             within("axes.home.latch_rad_s", home.latch_rad_s, 1.0e-4, speed_rad_s),
             within("axes.home.pull_off_rad", home.pull_off_rad, 1.0e-3, home.travel_max_rad),
             within("axes.home.travel_max_rad", home.travel_max_rad, 1.0e-2, 100.0),
@@ -128,10 +131,9 @@ impl Axis {
     /// Weakest quick stop that ends within [`QUICK_STOP_MAX_MS`] if it begins with the drives' watchdog, rad/s2, rounded up to
     /// hundredths. The highest speed of the axis is its speed limit, or its speed in a search if that is higher, plus the
     /// correction that the controller adds before the following error becomes a fault, at most the output limit.
-    fn quick_stop_min_rad_s2(&self, joint_speed_rad_s: f64, beside_rad_s: f64, watchdog_ms: u16) -> f64 {
+    fn quick_stop_min_rad_s2(&self, joint_speed_rad_s: f64, searched: Searched, watchdog_ms: u16) -> f64 {
         let added = self.feedback_gain_per_s * self.following_error_max_rad;
-        let search_rad_s = self.home.io.map_or(0.0, |_| self.home.speed_rad_s.abs() + beside_rad_s);
-        let fastest = (joint_speed_rad_s.max(search_rad_s) + added).min(self.output_max_rad_s);
+        let fastest = (joint_speed_rad_s.max(searched.speed_rad_s) + added).min(self.output_max_rad_s);
         let time_ms = QUICK_STOP_MAX_MS - u32::from(watchdog_ms.min(WATCHDOG_MAX_MS));
         let needed = fastest * 1_000.0 / f64::from(time_ms);
         libm::ceil(needed * 100.0) / 100.0
@@ -145,10 +147,10 @@ impl Axis {
         libm::floor(told.min(QUICK_STOP_HIGHEST_RAD_S2) * 100.0) / 100.0
     }
 
-    /// Hard bounds of an axis's values; `beside_rad_s` is what the search of another axis adds to the speed of this one.
-    fn scalars(&self, joint_speed_rad_s: f64, beside_rad_s: f64, watchdog_ms: u16) -> [Bound; AXIS_BOUNDS] {
+    /// Hard bounds of an axis's values.
+    fn scalars(&self, joint_speed_rad_s: f64, searched: Searched, watchdog_ms: u16) -> [Bound; AXIS_BOUNDS] {
         let [vendor, product, revision, alias, switch, serial] = self.identity_bounds(None);
-        let [home_speed, home_latch, home_pull_off, home_travel] = self.home_bounds(beside_rad_s);
+        let [home_speed, home_latch, home_pull_off, home_travel] = self.home_bounds(searched);
         [
             vendor,
             product,
@@ -198,7 +200,7 @@ impl Axis {
             bound(
                 "axes.quick_stop_rad_s2",
                 self.quick_stop_rad_s2,
-                self.quick_stop_min_rad_s2(joint_speed_rad_s, beside_rad_s, watchdog_ms)
+                self.quick_stop_min_rad_s2(joint_speed_rad_s, searched, watchdog_ms)
                     .max(1.0),
                 self.quick_stop_max_rad_s2(),
             ),
@@ -249,18 +251,39 @@ impl Config {
         }
     }
 
-    /// What the search of another axis adds to the speed of this one, at most, rad/s: two axes that move together, and have one
-    /// order, are led to both switches at once.
-    fn search_beside_rad_s(&self, axis: usize) -> f64 {
-        let coupled = self.geometry.kind().coupled_axes();
-        let Some(order) = self.axes.get(axis).map(|values| values.home.order) else {
-            return 0.0;
+    /// Speeds of an axis in a search. Two axes that move together turn with the sum of both speeds if they are led to their
+    /// switches at once, and each with both speeds if one behind the other.
+    fn searched(&self, axis: usize) -> Searched {
+        let Some(values) = self.axes.get(axis) else {
+            return Searched::default();
         };
-        let others = self.axes.iter().take(coupled).enumerate();
-        let searched = others.filter(|(other, values)| {
-            axis < coupled && *other != axis && values.home.io.is_some() && values.home.order == order
-        });
-        searched.map(|(_, values)| values.home.speed_rad_s.abs()).sum()
+        let speed_of = |axis: &Axis| axis.home.io.map_or(0.0, |_| axis.home.speed_rad_s.abs());
+        let own_rad_s = speed_of(values);
+        let other = match self.geometry.kind().coupled_axes() {
+            coupled if axis >= coupled => None,
+            _ => self.axes.get(usize::from(axis == 0)),
+        };
+        let Some(other) = other else {
+            return Searched {
+                speed_rad_s: own_rad_s,
+                most_rad_s: values.output_max_rad_s.abs(),
+            };
+        };
+        let most_rad_s = values.output_max_rad_s.abs().min(other.output_max_rad_s.abs());
+        match values.home.order == other.home.order {
+            true => {
+                let left_rad_s = most_rad_s - speed_of(other);
+                Searched {
+                    speed_rad_s: own_rad_s + speed_of(other),
+                    // Where nothing is left, the other one is refused.
+                    most_rad_s: if left_rad_s > 0.0 { left_rad_s } else { most_rad_s },
+                }
+            }
+            false => Searched {
+                speed_rad_s: own_rad_s.max(speed_of(other)),
+                most_rad_s,
+            },
+        }
     }
 
     /// Checks every value against its hard bounds.
@@ -271,8 +294,8 @@ impl Config {
         let kind = self.geometry.kind();
         check_rows(&self.scalars(), None, kind)?;
         for (axis, (values, speed_rad_s)) in (0u8..).zip(self.axes.iter().zip(self.motion.joint_speed_rad_s)) {
-            let beside_rad_s = self.search_beside_rad_s(axis.into());
-            let rows = values.scalars(speed_rad_s, beside_rad_s, self.bus.watchdog_ms);
+            let searched = self.searched(axis.into());
+            let rows = values.scalars(speed_rad_s, searched, self.bus.watchdog_ms);
             check_rows(&rows, Some(axis), kind)?;
             for other in self.axes.iter().take(axis.into()) {
                 check_rows(&values.identity_bounds(Some(other)), Some(axis), kind)?;

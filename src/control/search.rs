@@ -8,7 +8,8 @@
 //! A switch is closed in operation and opens when it is reached, so that a broken wire is like a switch that is reached: it
 //! never closes, which ends the search.
 //!
-//! Invariant: every phase has a longest travel, after which the search fails; no axis moves faster than its search speed.
+//! Invariant: every phase has a longest travel, after which the search fails; no axis and no slide is led faster than its search
+//! speed; two axes that move together have the sum of both, or the difference.
 
 use crate::config::{Axis, HomeSwitch};
 use crate::motion::Setpoint;
@@ -45,30 +46,81 @@ pub enum SearchFailure {
     Differs,
 }
 
-/// Deceleration with which an axis comes to rest in a search, rad/s2.
-const fn search_deceleration_rad_s2(axis: &Axis) -> f64 {
-    axis.quick_stop_rad_s2.abs() * ACCELERATION_PART
+/// How what is led to a switch comes to rest behind it: an axis, or a slide that two axes move together.
+#[derive(Clone, Copy, Debug)]
+pub struct Approach {
+    speed_rad_s: f64,
+    /// Speed of the other slide at the same time, rad/s; 0 for an axis that moves alone.
+    beside_rad_s: f64,
+    /// The quick stop of the weaker drive that moves it, rad/s2.
+    quick_stop_rad_s2: f64,
+    /// Part of it that this search uses.
+    part: f64,
 }
 
-/// Longest way that an axis goes on behind its switch at the search speed, rad: until the switch is noticed, and to rest.
-pub fn way_behind_switch_rad(axis: &Axis) -> f64 {
-    let speed_rad_s = axis.home.speed_rad_s.abs();
-    speed_rad_s * INPUT_S + 0.5 * speed_rad_s * speed_rad_s / search_deceleration_rad_s2(axis)
-}
+impl Approach {
+    /// What is led to the switch of `axis`, from 0, in a robot of this kind.
+    pub fn of(kind: Kind, axes: &[Axis; AXES], axis: usize) -> Self {
+        let [first, second, ..] = axes;
+        let settings = axes.get(axis).unwrap_or(first);
+        let alone = Self {
+            speed_rad_s: settings.home.speed_rad_s.abs(),
+            beside_rad_s: 0.0,
+            quick_stop_rad_s2: settings.quick_stop_rad_s2.abs(),
+            part: ACCELERATION_PART,
+        };
+        if axis >= kind.coupled_axes() {
+            return alone;
+        }
+        let other = if axis == 0 { second } else { first };
+        let is_at_once = other.home.io.is_some() && other.home.order == settings.home.order;
+        let quick_stop_rad_s2 = alone.quick_stop_rad_s2.min(other.quick_stop_rad_s2.abs());
+        match is_at_once {
+            false => Self {
+                quick_stop_rad_s2,
+                ..alone
+            },
+            // A drive may have to brake for both at once.
+            true => Self {
+                beside_rad_s: other.home.speed_rad_s.abs(),
+                quick_stop_rad_s2,
+                part: 0.5 * ACCELERATION_PART,
+                ..alone
+            },
+        }
+    }
 
-/// Fastest search that goes no farther than this behind its switch, rad/s.
-pub fn search_speed_max_rad_s(axis: &Axis, way_rad: f64) -> f64 {
-    let deceleration_rad_s2 = search_deceleration_rad_s2(axis);
-    let root_s = libm::sqrt(INPUT_S * INPUT_S + 2.0 * way_rad.max(0.0) / deceleration_rad_s2);
-    deceleration_rad_s2 * (root_s - INPUT_S)
-}
+    /// Deceleration with which it comes to rest, rad/s2.
+    const fn deceleration_rad_s2(&self) -> f64 {
+        self.quick_stop_rad_s2 * self.part
+    }
 
-/// Weakest quick stop with which a search goes no farther than this behind its switch, rad/s2; `None` if the axis is farther
-/// before the switch is noticed.
-pub fn search_quick_stop_min_rad_s2(axis: &Axis, way_rad: f64) -> Option<f64> {
-    let speed_rad_s = axis.home.speed_rad_s.abs();
-    let braking_rad = way_rad - speed_rad_s * INPUT_S;
-    (braking_rad > 0.0).then(|| 0.5 * speed_rad_s * speed_rad_s / braking_rad / ACCELERATION_PART)
+    /// Longest way that it goes on behind its switch at the search speed, rad: until the switch is noticed, and to rest. In a
+    /// quick stop each drive brakes for itself: as long as the other slide is the faster one, this one goes on at its speed, for
+    /// `speed * beside / quick_stop` in all.
+    pub fn way_behind_switch_rad(&self) -> f64 {
+        let speed_rad_s = self.speed_rad_s;
+        let braking_rad = 0.5 * speed_rad_s * speed_rad_s / self.deceleration_rad_s2();
+        let beside_rad = speed_rad_s * self.beside_rad_s / self.quick_stop_rad_s2;
+        speed_rad_s * INPUT_S + braking_rad.max(beside_rad)
+    }
+
+    /// Fastest search that goes no farther than this behind its switch, rad/s.
+    pub fn speed_max_rad_s(&self, way_rad: f64) -> f64 {
+        let (way_rad, deceleration_rad_s2) = (way_rad.max(0.0), self.deceleration_rad_s2());
+        let root_s = libm::sqrt(INPUT_S * INPUT_S + 2.0 * way_rad / deceleration_rad_s2);
+        let alone_rad_s = deceleration_rad_s2 * (root_s - INPUT_S);
+        alone_rad_s.min(way_rad / (INPUT_S + self.beside_rad_s / self.quick_stop_rad_s2))
+    }
+
+    /// Weakest quick stop with which the search goes no farther than this behind its switch, rad/s2; `None` if it is farther
+    /// before the switch is noticed.
+    pub fn quick_stop_min_rad_s2(&self, way_rad: f64) -> Option<f64> {
+        let speed_rad_s = self.speed_rad_s;
+        let braking_rad = way_rad - speed_rad_s * INPUT_S;
+        let alone = 0.5 * speed_rad_s / self.part;
+        (braking_rad > 0.0).then(|| speed_rad_s * alone.max(self.beside_rad_s) / braking_rad)
+    }
 }
 
 /// What an axis does.
@@ -140,10 +192,10 @@ struct AxisSearch {
 }
 
 impl AxisSearch {
-    fn new(axis: &Axis, position_rad: f64) -> Self {
+    fn new(axis: &Axis, acceleration_rad_s2: f64, position_rad: f64) -> Self {
         Self {
             home: axis.home,
-            acceleration_rad_s2: search_deceleration_rad_s2(axis),
+            acceleration_rad_s2,
             phase: Phase::Waiting,
             switch: Switch::default(),
             is_known: false,
@@ -297,7 +349,10 @@ impl Search {
     /// A search of the first `used` axes that begins at this pose, at rest.
     pub(super) fn new(kind: Kind, axes: &[Axis; AXES], used: usize, pose_rad: &[f64; AXES]) -> Self {
         let slides_rad = kind.slides(*pose_rad);
-        let mut searches = core::array::from_fn(|axis| AxisSearch::new(&axes[axis], slides_rad[axis]));
+        let mut searches = core::array::from_fn(|axis| {
+            let acceleration_rad_s2 = Approach::of(kind, axes, axis).deceleration_rad_s2();
+            AxisSearch::new(&axes[axis], acceleration_rad_s2, slides_rad[axis])
+        });
         searches.iter_mut().skip(used).for_each(|axis| axis.home.io = None);
         Self {
             kind,
@@ -353,8 +408,8 @@ impl Search {
         }
     }
 
-    /// Advances by a millisecond. `axes` are those of the start; `is_open` tells the state of an input of the configuration, `None` for one that does not
-    /// arrive.
+    /// Advances by a millisecond. `axes` are those of the start; `is_open` tells the state of an input of the configuration,
+    /// `None` for one that does not arrive.
     ///
     /// # Errors
     /// The axis, from 0, whose search has failed.
@@ -538,35 +593,45 @@ mod tests {
             counted_from in prop::array::uniform2(-1_000_000..1_000_000_i64),
             gears in prop::array::uniform2((0.5..20.0_f64, any::<bool>())),
             orders in prop::array::uniform2(0..2_u8),
+            quick_stops in prop::array::uniform2(5.0..100.0_f64),
         ) {
             let gears = gears.map(|(gear, turned)| if turned { -gear } else { gear });
             let drive = |number: u8| Axis {
                 gear: gears[usize::from(number)],
                 increments_per_revolution: 100_000,
+                quick_stop_rad_s2: quick_stops[usize::from(number)],
                 ..axis(number, orders[usize::from(number)], if number == 0 { -0.5 } else { 0.4 })
             };
-            let axes = [drive(0), drive(1), Axis::default(), Axis::default()];
+            let axes = [drive(0), drive(1), axis(2, 1, 0.2), Axis::default()];
             let per_rad = gears.map(|gear| gear * 100_000.0 / TAU);
-            let mut search = Search::new(Kind::CoreXy, &axes, 2, &[0.7, -0.3, 0.0, 0.0]);
+            let mut search = Search::new(Kind::CoreXy, &axes, 3, &[0.7, -0.3, 0.0, 0.0]);
             let begun = search.setpoint().position_rad;
             let starts_rad = [places_rad[0] + away_rad[0], places_rad[1] - away_rad[1]];
             let first = Kind::CoreXy.joints([starts_rad[0], starts_rad[1], 0.0, 0.0]);
-            let mut edges = None;
+            let (mut edges, mut speeds_before) = (None, [0.0; AXES]);
             for _ in 0..100_000 {
                 let commanded = search.setpoint();
                 let speeds = commanded.velocity_rad_s;
                 prop_assert!(speeds[0].abs() <= 0.9 + 1e-9 && speeds[1].abs() <= 0.9 + 1e-9, "{speeds:?}");
+                for axis in 0..2 {
+                    let acceleration = (speeds[axis] - speeds_before[axis]).abs() / CYCLE_S;
+                    prop_assert!(acceleration <= 0.5 * quick_stops[axis] + 1e-6, "axis {axis}: {acceleration} rad/s2");
+                }
+                speeds_before = speeds;
                 let joints: [f64; AXES] =
                     core::array::from_fn(|axis| first[axis] + commanded.position_rad[axis] - begun[axis]);
                 let slides = [0.5 * (joints[0] + joints[1]), 0.5 * (joints[0] - joints[1])];
                 let is_open = |io: u8| {
-                    let axis = usize::from(io);
-                    Some((slides[axis] - places_rad[axis]) * axes[axis].home.speed_rad_s >= 0.0)
+                    match usize::from(io) {
+                        2 => Some(commanded.position_rad[2] >= 0.5),
+                        axis => Some((slides[axis] - places_rad[axis]) * axes[axis].home.speed_rad_s >= 0.0),
+                    }
                 };
                 let mut increments = [0; AXES];
                 for axis in 0..2 {
                     increments[axis] = counted_from[axis] + (joints[axis] * per_rad[axis]) as i64;
                 }
+                increments[2] = (commanded.position_rad[2] * PER_RAD) as i64;
                 if let Found::End(found) = search.step(&axes, is_open, &increments).expect("no switch fails") {
                     edges = found;
                     break;
@@ -580,7 +645,8 @@ mod tests {
                 // Each approach is seen a millisecond late at most, at 0.05 rad/s.
                 prop_assert!(apart_rad.abs() < 3e-4, "axis {axis}: {apart_rad} rad");
             }
-            prop_assert_eq!(edges[2], None);
+            let third = edges[2].expect("the height has a switch of its own");
+            prop_assert!((third as f64 / PER_RAD - 0.5).abs() < 1e-3, "{}", third);
         }
     }
 

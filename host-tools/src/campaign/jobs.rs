@@ -89,8 +89,8 @@ struct Desk<'e> {
     was_stopped: bool,
     /// Points of ink on earlier sheets.
     inked: usize,
-    /// The same of the sheet before, and whether a quick stop was on it.
-    before: (usize, bool),
+    /// The same of the sheet before, whether a quick stop was on it, and the number of its drawing.
+    before: (usize, bool, usize),
     /// Whether the drawing on this sheet is in the log; then a person resumes.
     has_begun: bool,
     /// Whether the board has begun to draw on this sheet.
@@ -144,7 +144,7 @@ impl<'e> Desk<'e> {
             stop_until_ms: 0,
             was_stopped: false,
             inked: 0,
-            before: (0, false),
+            before: (0, false, usize::MAX),
             has_begun: false,
             has_drawn: false,
             is_end_unwritten: false,
@@ -254,8 +254,11 @@ impl<'e> Desk<'e> {
     fn act(&mut self, next: Next) {
         match next {
             Next::Resume(plan) => {
-                if plan.drawing.held && !self.has_drawn {
-                    self.take_sheet_before();
+                let (inked, was_stopped, number) = self.before;
+                // What the board has executed before it began on this sheet is on the one before, as the program says.
+                if plan.drawing.held && !self.has_drawn && number == self.number && self.has_executed() {
+                    self.inked = inked;
+                    (self.was_stopped, self.has_drawn) = (self.was_stopped || was_stopped, true);
                 }
                 self.draw(*plan);
             }
@@ -298,15 +301,14 @@ impl<'e> Desk<'e> {
         self.world.look(|cell, _| ink::points(cell.ink()))
     }
 
-    /// What the board still holds was begun on the sheet before, of which the program tells the person.
-    fn take_sheet_before(&mut self) {
-        let (inked, was_stopped) = self.before;
-        self.inked = inked;
-        (self.was_stopped, self.has_drawn) = (self.was_stopped || was_stopped, true);
+    /// Whether the board has executed a part of the path that it holds.
+    fn has_executed(&self) -> bool {
+        let held = self.job.as_ref().and_then(Job::held_path);
+        held.is_some_and(|path| path.executed > 0)
     }
 
     fn new_sheet(&mut self) {
-        self.before = (self.inked, self.was_stopped);
+        self.before = (self.inked, self.was_stopped, self.number);
         self.inked = self.points();
         (self.was_stopped, self.has_drawn) = (self.stop_shows_open(), false);
     }

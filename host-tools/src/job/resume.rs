@@ -392,7 +392,7 @@ fn from_firmware(
         ack.executed,
         vertices.len()
     );
-    if !entry.may_have_ink() {
+    if !entry.may_have_ink() && ack.executed > 0 {
         // All drawings of a path have one number: this may be one before the one that the log has.
         notice += "; the log has not seen it begin, so an empty sheet is not the one that it is on: then end it (etherpen \
                    cancel) and draw the file anew";

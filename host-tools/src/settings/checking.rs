@@ -213,13 +213,19 @@ fn marks_outside(places: &Places<'_>, config: &Config) -> Vec<Finding> {
         Some(Finding {
             gravity: Gravity::Error,
             line: places.of_axis(axis.index, &[key]),
-            text: format!(
-                "axis {} ({}) would be at {sync} {unit} at its {}, and its range is {low} to {high} {unit}; correct {key} or \
-                 [geometry]",
-                axis.index + 1,
-                axis.name,
-                if settings.home.io.is_some() { "switch" } else { "mark" }
-            ),
+            text: match settings.home.io {
+                Some(_) => format!(
+                    "{} would be at {sync} {unit} at its switch, and its range is {low} to {high} {unit}; correct {} or [geometry]",
+                    led(config, &axis),
+                    sync_keys(config, &axis)
+                ),
+                None => format!(
+                    "axis {} ({}) would be at {sync} {unit} at its mark, and its range is {low} to {high} {unit}; correct {key} or \
+                     [geometry]",
+                    axis.index + 1,
+                    axis.name
+                ),
+            },
         })
     };
     axes(config).into_iter().filter_map(outside).collect()
@@ -237,6 +243,24 @@ fn range_rad(config: &Config, axis: usize) -> [f64; 2] {
 fn searched_rad(config: &Config, axis: usize) -> [f64; 2] {
     let main = config.geometry.slide_ranges_rad();
     main.get(axis).copied().unwrap_or_else(|| range_rad(config, axis))
+}
+
+/// What is led to the switch of an axis, in words.
+fn led(config: &Config, axis: &AxisView) -> String {
+    let coupled = config.geometry.kind().coupled_axes();
+    match ["x", "y"].iter().take(coupled).nth(axis.index) {
+        Some(slide) => format!("{slide} (moved by axes 1 and 2)"),
+        None => format!("axis {} ({})", axis.index + 1, axis.name),
+    }
+}
+
+/// The values that say where what is led to the switch of an axis is there.
+fn sync_keys(config: &Config, axis: &AxisView) -> String {
+    let key = sync_key(axis.motion);
+    match axis.index < config.geometry.kind().coupled_axes() {
+        true => format!("{key} of both axes, x + y and x - y at the switches,"),
+        false => key.to_owned(),
+    }
 }
 
 /// The value of an axis with its place at mark or switch.

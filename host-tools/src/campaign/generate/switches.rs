@@ -6,7 +6,7 @@ use super::mechanism::SEARCHED;
 use crate::axes::{Motion, motion};
 use crate::settings::checking;
 use etherpen::config::{IoDirection, IoPoint, IoRole};
-use etherpen::control::search::way_behind_switch_rad;
+use etherpen::control::search::Approach;
 use etherpen::robots::LINEAR_MM_PER_RAD;
 use toml::Value;
 
@@ -120,7 +120,8 @@ pub(super) fn make_room_behind(episode: &mut Episode) {
             continue;
         };
         let settings = &config.axes[axis];
-        let missing_mm = ((way_behind_switch_rad(settings) - room_rad) * motion.factor()).ceil();
+        let approach = Approach::of(config.geometry.kind(), &config.axes, axis);
+        let missing_mm = ((approach.way_behind_switch_rad() - room_rad) * motion.factor()).ceil();
         let wider = match settings.home.speed_rad_s > 0.0 {
             _ if missing_mm <= 0.0 => continue,
             true => [low, high + missing_mm],

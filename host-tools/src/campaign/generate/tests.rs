@@ -4,7 +4,7 @@ use crate::cell::SlaveKind;
 use crate::settings::checking;
 use crate::settings::machines::MACHINES;
 use etherpen::config::{Config, PenLiftKind};
-use etherpen::control::search::way_behind_switch_rad;
+use etherpen::control::search::Approach;
 use etherpen::ethercat::cyclic::ExchangeKind;
 use etherpen::motion::WorkArea;
 use std::collections::BTreeSet;
@@ -107,7 +107,7 @@ fn searches_come_to_rest_within_their_axes() {
                     let Some(room_rad) = checking::room_behind_switch_rad(&config, axis) else {
                         continue;
                     };
-                    let way_rad = way_behind_switch_rad(settings);
+                    let way_rad = Approach::of(config.geometry.kind(), &config.axes, axis).way_behind_switch_rad();
                     assert!(
                         way_rad <= room_rad,
                         "{}, {profile:?}, seed {seed}, axis {axis}: {way_rad} > {room_rad}",

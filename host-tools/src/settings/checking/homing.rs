@@ -1,10 +1,10 @@
 //! What is unlikely about home switches.
 
-use super::{Checks, Finding, Gravity, round, searched_rad};
+use super::{Checks, Finding, Gravity, led, round, searched_rad, sync_keys};
 use crate::axes::{AxisView, Motion, Quantity, axes};
 use crate::link::text;
 use etherpen::config::{Config, HomeSwitch};
-use etherpen::control::search::{search_quick_stop_min_rad_s2, search_speed_max_rad_s, way_behind_switch_rad};
+use etherpen::control::search::Approach;
 use etherpen::motion::WorkArea;
 use etherpen::robots::{JointAngles, Kinematics, MAIN_AXES};
 
@@ -53,10 +53,9 @@ fn travel(checks: &Checks<'_>, axis: &AxisView, home: &HomeSwitch) -> Option<Str
             axis.motion.unit(Quantity::Position),
         );
         format!(
-            "axis {} ({}) seeks its switch for {} {unit} only, and its range is {} {unit} long: from the far end it does not get \
-             there; make {key} {}",
-            axis.index + 1,
-            axis.name,
+            "{} seeks its switch for {} {unit} only, and its range is {} {unit} long: from the far end it does not get there; make \
+             {key} {}",
+            led(checks.config, axis),
             shown(home.travel_max_rad),
             shown(length_rad),
             shown(TRAVEL_SHARE * length_rad)
@@ -70,14 +69,12 @@ fn direction(checks: &Checks<'_>, axis: &AxisView, home: &HomeSwitch) -> Option<
     let is_upper = switch_rad > 0.5 * (low_rad + high_rad);
     (is_upper != (home.speed_rad_s > 0.0)).then(|| {
         format!(
-            "axis {} ({}) seeks its switch towards {} values, and has it at the {} end of its range; turn the sign of {}, or \
-             correct {}",
-            axis.index + 1,
-            axis.name,
+            "{} seeks its switch towards {} values, and has it at the {} end of its range; turn the sign of {}, or correct {}",
+            led(checks.config, axis),
             if is_upper { "smaller" } else { "greater" },
             if is_upper { "upper" } else { "lower" },
             key(axis, "speed", Quantity::Speed),
-            super::sync_key(axis.motion)
+            sync_keys(checks.config, axis)
         )
     })
 }
@@ -85,7 +82,8 @@ fn direction(checks: &Checks<'_>, axis: &AxisView, home: &HomeSwitch) -> Option<
 /// An axis that comes to rest behind the end of its range runs against what ends it.
 fn stopping(checks: &Checks<'_>, axis: &AxisView) -> Option<String> {
     let settings = checks.config.axes.get(axis.index)?;
-    let way_rad = way_behind_switch_rad(settings);
+    let approach = Approach::of(checks.config.geometry.kind(), &checks.config.axes, axis.index);
+    let way_rad = approach.way_behind_switch_rad();
     let room_rad = room_behind_switch_rad(checks.config, axis.index)?.max(0.0);
     if way_rad <= room_rad + ROUNDING_RAD {
         return None;
@@ -97,13 +95,13 @@ fn stopping(checks: &Checks<'_>, axis: &AxisView) -> Option<String> {
     };
     let down = |value: f64| ((value + ROUNDING_RAD) * factor * steps).floor() / steps;
     let up = |value: f64| ((value - ROUNDING_RAD) * factor * steps).ceil() / steps;
-    let speed_rad_s = search_speed_max_rad_s(settings, room_rad);
+    let speed_rad_s = approach.speed_max_rad_s(room_rad);
     let is_possible = down(speed_rad_s) > SEARCH_SPEED_MIN_RAD_S.max(settings.home.latch_rad_s) * factor;
     let slower = is_possible.then(|| {
         let value = down(speed_rad_s).copysign(settings.home.speed_rad_s);
         format!("make {} {value}", key(axis, "speed", Quantity::Speed))
     });
-    let stronger = search_quick_stop_min_rad_s2(settings, room_rad).map(|needed| {
+    let stronger = approach.quick_stop_min_rad_s2(room_rad).map(|needed| {
         format!(
             "make quick_stop_{} {}",
             axis.motion.suffix(Quantity::Acceleration),
@@ -112,10 +110,8 @@ fn stopping(checks: &Checks<'_>, axis: &AxisView) -> Option<String> {
     });
     let advice = [slower, stronger, Some("move the switch".to_owned())];
     Some(format!(
-        "axis {} ({}) comes to rest up to {} {unit} behind its switch, and its range ends {} {unit} behind it: it may run against \
-         its end; {}",
-        axis.index + 1,
-        axis.name,
+        "{} comes to rest up to {} {unit} behind its switch, and its range ends {} {unit} behind it: it may run against its end; {}",
+        led(checks.config, axis),
         up(way_rad),
         down(room_rad),
         advice.into_iter().flatten().collect::<Vec<String>>().join(", or "),
@@ -311,7 +307,9 @@ mod tests {
         let beyond = with_switches(&[("sync_mm = 0.0", "sync_mm = 30.0")]);
         assert!(
             beyond.iter().any(|found| found.gravity == Gravity::Error
-                && found.text.contains("-182 mm at its switch")
+                && found
+                    .text
+                    .contains("y (moved by axes 1 and 2) would be at -182 mm at its switch")
                 && found.text.contains("-170 to 170 mm")),
             "{beyond:#?}"
         );
@@ -346,6 +344,13 @@ mod tests {
         assert!(together.iter().any(is_refused), "{together:#?}");
         let in_turn = with_switches(&[fast[0], ("speed_mm_s = -60.0", "order = 1\nspeed_mm_s = -600.0")]);
         assert!(!in_turn.iter().any(is_refused), "{in_turn:#?}");
+        // The other belt turns as fast as this one, also while x is sought alone.
+        let weaker = with_switches(&[
+            fast[0],
+            ("speed_mm_s = -60.0", "order = 1\nspeed_mm_s = -600.0"),
+            ("# belt b: x - y\n", "\noutput_max_mm_s = 900.0\n"),
+        ]);
+        assert!(weaker.iter().any(is_refused), "{weaker:#?}");
     }
 
     #[test]
