@@ -300,8 +300,7 @@ pub(crate) fn two_belts_find_the_switches_of_both_slides_from_wherever_they_stan
 
 #[test]
 pub(crate) fn a_search_of_two_belts_fails_as_any_other_and_the_machine_comes_back() {
-    type Fails = fn(&mut Robot, bool);
-    let failures: [(SearchFailure, Fails); 2] = [
+    let failures: [(SearchFailure, Failing); 2] = [
         (SearchFailure::StaysOpen, |robot, fails| {
             robot.change_cell(|cell| cell.break_switches(fails));
         }),
