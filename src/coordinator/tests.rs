@@ -90,6 +90,15 @@ impl Tasks {
         }
     }
 
+    /// Lets ten milliseconds pass with a report of the critical tasks.
+    fn pass(&mut self, report: &mut CycleReport) {
+        report.cycle += 10;
+        self.reports.enqueue(*report).unwrap();
+        self.coordinator.take_sample();
+        self.coordinator.advance();
+        self.coordinator.step(0);
+    }
+
     /// A coordinator that has taken the default configuration, which the other tasks have taken from their queues.
     fn configured() -> Self {
         let mut tasks = Self::new();
@@ -312,13 +321,7 @@ fn each_drawing_counts_its_vertices_from_0() {
     let mut tasks = Tasks::configured();
     tasks.event(BusEvent::Operational);
     let mut report = holding();
-    let mut step = |tasks: &mut Tasks| {
-        report.cycle += 10;
-        tasks.reports.enqueue(report).unwrap();
-        tasks.coordinator.take_sample();
-        tasks.coordinator.advance();
-        tasks.coordinator.step(0);
-    };
+    let mut step = |tasks: &mut Tasks| tasks.pass(&mut report);
     step(&mut tasks);
     assert_eq!(tasks.coordinator.command(Command::Enable), Ok(()));
     for job in 1..=2 {
@@ -346,12 +349,8 @@ fn what_an_earlier_path_has_executed_is_not_told_of_the_next_one() {
     tasks.event(BusEvent::Operational);
     let mut report = holding();
     let mut step = |tasks: &mut Tasks, vertex: u32| {
-        report.cycle += 10;
         report.setpoint.vertex = vertex;
-        tasks.reports.enqueue(report).unwrap();
-        tasks.coordinator.take_sample();
-        tasks.coordinator.advance();
-        tasks.coordinator.step(0);
+        tasks.pass(&mut report);
     };
     // What the trajectory reports when all orders but so many are taken.
     let moves = |tasks: &mut Tasks, orders_left: u32, executed: u32| {
@@ -384,17 +383,10 @@ fn what_an_earlier_path_has_executed_is_not_told_of_the_next_one() {
 
 #[test]
 fn a_drawing_ends_while_overrides_are_sent_all_the_time() {
-    let mut tasks = Tasks::new();
-    assert!(tasks.coordinator.configure(&Config::default()).is_ok());
+    let mut tasks = Tasks::configured();
     tasks.event(BusEvent::Operational);
     let mut report = holding();
-    let mut step = |tasks: &mut Tasks| {
-        report.cycle += 10;
-        tasks.reports.enqueue(report).unwrap();
-        tasks.coordinator.take_sample();
-        tasks.coordinator.advance();
-        tasks.coordinator.step(0);
-    };
+    let mut step = |tasks: &mut Tasks| tasks.pass(&mut report);
     step(&mut tasks);
     assert_eq!(tasks.coordinator.command(Command::Enable), Ok(()));
     step(&mut tasks);

@@ -89,7 +89,7 @@ struct Desk<'e> {
     was_stopped: bool,
     /// Points of ink on earlier sheets.
     inked: usize,
-    /// The same of the sheet before, whether a quick stop was on it, and the number of its drawing.
+    /// Of the sheet before: points of ink on earlier sheets, whether a quick stop was on it, and the number of its drawing.
     before: (usize, bool, usize),
     /// Whether the drawing on this sheet is in the log; then a person resumes.
     has_begun: bool,
