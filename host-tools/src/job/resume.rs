@@ -394,8 +394,8 @@ fn from_firmware(
     );
     if !entry.may_have_ink() && ack.executed > 0 {
         // All drawings of a path have one number: this may be one before the one that the log has.
-        notice += "; the log has not seen it begin, so an empty sheet is not the one that it is on: then end it (etherpen \
-                   cancel) and draw the file anew";
+        notice += ". The log has not seen it begin: if the sheet is empty, it began on another one; then end it (etherpen \
+                   cancel) and draw the file again";
     }
     let drawing = DrawTask {
         held: true,
@@ -629,11 +629,11 @@ mod tests {
         };
         let held = plan(vec![record.clone()], &machine(Mode::Holding), &config, &path).unwrap();
         assert!(held.drawing.held);
-        assert!(!held.notice.contains("empty sheet"), "{}", held.notice);
+        assert!(!held.notice.contains("sheet is empty"), "{}", held.notice);
         let mut unseen = record.clone();
         unseen.entry.strokes = 0;
         let other_sheet = plan(vec![unseen], &machine(Mode::Holding), &config, &path).unwrap();
-        assert!(other_sheet.notice.contains("empty sheet"), "{}", other_sheet.notice);
+        assert!(other_sheet.notice.contains("sheet is empty"), "{}", other_sheet.notice);
         record.entry.missing_from = Some(30);
         let refused = plan(vec![record.clone()], &machine(Mode::Holding), &config, &path);
         let refused = refused.err().expect("stroke is missing");
