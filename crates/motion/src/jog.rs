@@ -6,8 +6,8 @@
 //! wanted velocity becomes zero. A jog whose direction is blocked is refused at the start.
 
 use super::averaging::TICK_S;
+use super::delay_line::PathSample;
 use super::limits::Limits;
-use super::micro_interpolator::PathSample;
 use super::scan::Row;
 use super::shaping::Label;
 use super::work_area::{Outside, WorkArea};

@@ -8,15 +8,17 @@
 //!    the space of a tool
 //! 2. `robots`: kinds of robots and their kinematics
 //! 3. `settings`, `curve`: settings of motion; lines and blends
-//! 4. `averaging`: moving average
-//! 5. `limits`, `work_area`, `shaping`: limits along a path; the space that a robot may use; the polyline with rounded
+//! 4. `input_shaper`: copies that keep a resonance quiet
+//! 5. `averaging`: moving average
+//! 6. `limits`, `work_area`, `shaping`: limits along a path; the space that a robot may use; the polyline with rounded
 //!    corners
-//! 6. `scan`, `micro_interpolator`, `heading`, `pen_lift`: the fastest speed over a grid; 1 ms setpoints; angle of the fourth
+//! 7. `delay_line`: sums those copies
+//! 8. `scan`, `micro_interpolator`, `heading`, `pen_lift`: the fastest speed over a grid; 1 ms setpoints; angle of the fourth
 //!    axis; where the pen is lifted
-//! 7. `grid`, `progress`, `jog`, `straight`: points of a path; motions without a path
-//! 8. `stretches`, `admission`, `outline`: parts of a plan; checks of vertices; the shaped path for other programs
-//! 9. `plan`, `merging`: speeds along the known path, down to rest at its end; vertices denser than the tolerance
-//! 10. `trajectory`: the trajectory stage with its commands
+//! 9. `grid`, `progress`, `jog`, `straight`: points of a path; motions without a path
+//! 10. `stretches`, `admission`, `outline`: parts of a plan; checks of vertices; the shaped path for other programs
+//! 11. `plan`, `merging`: speeds along the known path, down to rest at its end; vertices denser than the tolerance
+//! 12. `trajectory`: the trajectory stage with its commands
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -30,8 +32,10 @@ mod bounds;
 mod checks;
 mod committed;
 mod curve;
+mod delay_line;
 mod grid;
 mod heading;
+mod input_shaper;
 mod jog;
 mod limits;
 mod merging;
@@ -54,7 +58,7 @@ mod work_area;
 mod work_volume;
 
 pub use admission::{Admission, LEG_CHECK_MM, LEG_MIN_MM};
-pub use averaging::effective_jerk_window_ms;
+pub use averaging::{effective_jerk_window_ms, shaper_deviation_mm};
 pub use committed::{Observer, Passage};
 pub use outline::{Outline, Section, Station};
 pub use settings::Settings;

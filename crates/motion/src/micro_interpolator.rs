@@ -1,18 +1,20 @@
 //! The micro-interpolator: from path speeds to twelve joint setpoints a period.
 //!
 //! Every millisecond the interpolator advances along the path (in stretches of constant path acceleration between the
-//! speeds at the grid's points), turns the point into joint angles, and averages over a whole number of milliseconds,
-//! which bounds the jerk. The moving average keeps every bound on speed and acceleration, because an average of values
-//! inside a convex limit is inside it.
+//! speeds at the grid's points), sums the copies of the point that an input shaper asks for, turns it into joint angles, and
+//! averages over a whole number of milliseconds, which bounds the jerk. The moving average keeps every bound on speed and
+//! acceleration, because an average of values inside a convex limit is inside it.
 //!
 //! Invariant: velocities are the exact differences of the averaged positions. The sums are integers, so they do not
 //! drift however long the program runs.
 
 use super::averaging::TICK_S;
+use super::delay_line::{DelayLine, PathSample};
 use super::shaping::Label;
 use super::{PERIOD_MS, Pen, Setpoint};
 use crate::robots::vector::{Vector, root};
 use crate::robots::{AXES, JointAngles, Kinematics, MAIN_AXES};
+use crate::settings::MotionLimits;
 
 /// Longest moving average, ms; the bound of `motion.jerk_window_ms`.
 pub(crate) const WINDOW_MAX: usize = 32;
@@ -24,23 +26,6 @@ const ROUNDED: f64 = 1.0e-12;
 const ANGLE_MAX_RAD: f64 = 10_000.0;
 
 const _: () = assert!(ANGLE_MAX_RAD * PARTS_PER_RAD * (WINDOW_MAX as f64) < i64::MAX as f64);
-
-/// A point of the path with its attributes.
-#[derive(Clone, Copy, Debug, Default)]
-pub(crate) struct PathSample {
-    pub(crate) point: Vector,
-    /// Angle of the fourth axis, rad.
-    pub(crate) heading: f64,
-    pub(crate) label: Label,
-}
-
-impl PathSample {
-    pub(crate) const NONE: Self = Self {
-        point: [0.0; 3],
-        heading: 0.0,
-        label: Label::NONE,
-    };
-}
 
 /// Motion along the path with constant acceleration.
 #[derive(Clone, Copy, Debug)]
@@ -181,6 +166,7 @@ pub(crate) struct MicroInterpolator {
     sums: [i64; AXES],
     /// Places over the paper, mm, in the order of the window.
     places_mm: [[f64; 2]; WINDOW_MAX],
+    copies: DelayLine,
     /// Milliseconds until the average is at rest once the angles are.
     settling_ms: usize,
 }
@@ -195,13 +181,16 @@ impl MicroInterpolator {
             newest: 0,
             sums: [0; AXES],
             places_mm: [[0.0; 2]; WINDOW_MAX],
+            copies: DelayLine::new(),
             settling_ms: 0,
         }
     }
 
-    /// Sets the robot and a moving average over `window_ms`; 0 and 1 switch the average off. At rest until placed.
-    pub(crate) fn configure(&mut self, kinematics: Kinematics, window_ms: u16) {
+    /// Sets the robot, a moving average over `window_ms`, and the input shaper; 0 and 1 switch the average off. At rest until
+    /// placed.
+    pub(crate) fn configure(&mut self, kinematics: Kinematics, window_ms: u16, motion: &MotionLimits) {
         self.kinematics = kinematics;
+        self.copies.configure(motion);
         self.beside = usize::from(window_ms).clamp(1, WINDOW_MAX) - 1;
         self.settling_ms = 0;
     }
@@ -224,14 +213,16 @@ impl MicroInterpolator {
         self.settling_ms = 0;
     }
 
-    /// Sets the place of the pose at which the interpolator was placed.
-    pub(crate) fn stand_at(&mut self, [x_mm, y_mm, _]: &Vector) {
-        self.places_mm = [[*x_mm, *y_mm]; WINDOW_MAX];
+    /// Sets the point of the pose at which the interpolator was placed.
+    pub(crate) fn stand_at(&mut self, sample: &PathSample) {
+        let [x_mm, y_mm, _] = sample.point;
+        self.places_mm = [[x_mm, y_mm]; WINDOW_MAX];
+        self.copies.fill(sample);
     }
 
     /// Whether the setpoints are at rest.
     pub(crate) fn settled(&self) -> bool {
-        self.settling_ms == 0
+        self.settling_ms == 0 && self.copies.settled()
     }
 
     /// A period at rest at the last pose.
@@ -250,7 +241,7 @@ impl MicroInterpolator {
     /// The next period.
     pub(crate) fn step(&mut self, profile: &mut impl Profile) -> [Setpoint; PERIOD_MS] {
         [(); PERIOD_MS].map(|()| {
-            let sample = profile.next_millisecond();
+            let sample = self.copies.pass(&profile.next_millisecond());
             self.setpoint(&sample)
         })
     }
@@ -344,7 +335,7 @@ mod tests {
     fn run(window_ms: u16) -> (MicroInterpolator, [[Setpoint; PERIOD_MS]; 12]) {
         let kinematics = Kinematics::new(&Geometry::default()).unwrap();
         let mut interpolator = MicroInterpolator::new();
-        interpolator.configure(kinematics, window_ms);
+        interpolator.configure(kinematics, window_ms, &MotionLimits::default());
         let [a, b, c] = kinematics.angles(&[0.0, 0.0, -850.0]);
         interpolator.place(&JointAngles([a, b, c, 0.25]));
         let mut there = There {
@@ -389,7 +380,7 @@ mod tests {
     fn placed_in_the_middle_of_a_motion_it_is_at_rest() {
         let kinematics = Kinematics::new(&Geometry::default()).unwrap();
         let mut interpolator = MicroInterpolator::new();
-        interpolator.configure(kinematics, 8);
+        interpolator.configure(kinematics, 8, &MotionLimits::default());
         let [a, b, c] = kinematics.angles(&[0.0, 0.0, -850.0]);
         let pose = JointAngles([a, b, c, 0.25]);
         interpolator.place(&pose);

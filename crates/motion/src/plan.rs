@@ -11,10 +11,11 @@
 //! squared speed below [`REST_SQUARED`] counts as rest.
 
 use super::committed::{Observer, Passage};
+use super::delay_line::PathSample;
 use super::grid::{ARRIVED_MM, GridPoint, Span};
 use super::heading::{Course, NONE_RAD, Pause, Turning};
 use super::limits::Limits;
-use super::micro_interpolator::{PathSample, Stretch};
+use super::micro_interpolator::Stretch;
 use super::ring::Ring;
 use super::scan::{Middle, Row};
 use super::shaping::{PIECES_PER_LEG, Piece};

@@ -5,7 +5,7 @@
 //! corner.
 
 use super::PERIOD_MS;
-use super::micro_interpolator::PathSample;
+use super::delay_line::PathSample;
 use crate::robots::vector::{length, subtract};
 
 /// Longest time without progress, ms.

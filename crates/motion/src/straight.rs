@@ -6,8 +6,8 @@
 //! point. That is slower than the plan's scan, but needs no look-ahead and can be stopped at any time.
 
 use super::averaging::TICK_S;
+use super::delay_line::PathSample;
 use super::limits::Limits;
-use super::micro_interpolator::PathSample;
 use super::scan::Row;
 use super::shaping::Label;
 use crate::Pen;

@@ -10,10 +10,11 @@
 use super::admission::{LEG_MIN_MM, check_way_in};
 use super::averaging::{TICK_S, averaging};
 use super::committed::Observer;
+use super::delay_line::PathSample;
 use super::jog::{self, Jog};
 use super::limits::Limits;
 use super::merging::Merger;
-use super::micro_interpolator::{MicroInterpolator, PathSample, Profile};
+use super::micro_interpolator::{MicroInterpolator, Profile};
 use super::pen_lift::PenLift;
 use super::plan::{GROWTH, Pace, Plan};
 use super::progress::Watch;
@@ -151,7 +152,7 @@ impl Trajectory {
     pub fn reconfigure(&mut self, settings: &Settings) -> Result<(), GeometryError> {
         let area = WorkArea::new(settings)?;
         let limits = Limits::new(settings);
-        let (window_ms, _) = averaging(settings);
+        let (window_ms, _) = averaging(&settings.motion);
         let motion = &mut self.motion;
         motion.area = area;
         motion.limits = limits;
@@ -167,7 +168,8 @@ impl Trajectory {
         motion.underruns = 0;
         motion.work = 0;
         motion.drop_path();
-        self.interpolator.configure(*area.kinematics(), window_ms);
+        self.interpolator
+            .configure(*area.kinematics(), window_ms, &settings.motion);
         self.pose = None;
         Ok(())
     }
@@ -196,7 +198,7 @@ impl Trajectory {
             heading: fourth_rad,
             label: Label::NONE,
         };
-        self.interpolator.stand_at(&self.motion.here.point);
+        self.interpolator.stand_at(&self.motion.here);
         self.motion.drop_path();
         self.motion.watch = Watch::new();
         self.pose = Some(pose);

@@ -16,6 +16,7 @@ mod promptness;
 mod properties;
 mod slow;
 mod tolerance;
+mod vibration;
 
 extern crate std;
 
@@ -190,7 +191,7 @@ impl Run {
                 "{name}: kind {kind} {value} over {limit} at {at} ms"
             );
         };
-        let window_ms = super::averaging::averaging(&self.settings).0;
+        let window_ms = super::averaging::averaging(&self.settings.motion).0;
         let jerk_s = f64::from(window_ms) * TICK_S;
         let mut accelerations = [0.0; AXES];
         let mut before: Option<(Vector, Vector, Setpoint)> = None;

@@ -119,7 +119,7 @@ fn check(settings: &Settings, path: &[Vertex], name: &str) -> (f64, f64) {
 }
 
 /// A drawing whose legs are about as long as the tolerance allows a spline, or far from it.
-fn drawing(random: &mut Random, tolerance_mm: f64) -> Vec<Vertex> {
+pub(super) fn drawing(random: &mut Random, tolerance_mm: f64) -> Vec<Vertex> {
     let scale_mm = tolerance_mm * libm::pow(10.0, random.between(-1.5, 2.0));
     let (turn_max, uneven, kind) = (random.between(0.05, PI), random.between(0.0, 1.5), random.below(4));
     let turn_even = random.between(0.02, turn_max);

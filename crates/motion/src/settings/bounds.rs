@@ -3,7 +3,9 @@
 //! A bound that depends on another value expresses a relation between the two.
 
 use super::{Paper, Settings, WorkVolume};
+use crate::averaging::resonance_min_hz;
 use crate::bounds::{Bound, Violation, bound, first_violation};
+use crate::input_shaper::{DAMPING_MAX, RESONANCE_HZ};
 use crate::robots::Geometry;
 
 /// Highest speed that a joint may be allowed, rad/s.
@@ -13,7 +15,7 @@ const JOINT_ACCELERATION_MAX_RAD_S2: f64 = 2000.0;
 
 impl Settings {
     /// Number of rows in [`Settings::bounds`].
-    pub const BOUNDS: usize = Geometry::BOUNDS + 31;
+    pub const BOUNDS: usize = Geometry::BOUNDS + 33;
 
     /// Hard bounds of every value except the dead-man time, which is bounded by the settings of the bus.
     #[must_use]
@@ -107,6 +109,13 @@ impl Settings {
                 10.0,
             ),
             bound("motion.jerk_window_ms", f64::from(motion.jerk_window_ms), 0.0, 32.0),
+            bound(
+                "motion.resonance_hz",
+                motion.resonance_hz,
+                resonance_min_hz(motion),
+                RESONANCE_HZ[1],
+            ),
+            bound("motion.resonance_damping", motion.resonance_damping, 0.0, DAMPING_MAX),
             bound(
                 "motion.starve_dwell_ms",
                 f64::from(motion.starve_dwell_ms),

@@ -29,6 +29,27 @@ pub struct Paper {
     pub slope: [f64; 2],
 }
 
+/// A number with 64 bits in texts and with 32 bits in messages, whose room is short.
+mod short {
+    use serde::{Deserialize, Deserializer, Serialize, Serializer};
+
+    pub(super) fn serialize<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
+        if serializer.is_human_readable() {
+            value.serialize(serializer)
+        } else {
+            (*value as f32).serialize(serializer)
+        }
+    }
+
+    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
+        if deserializer.is_human_readable() {
+            f64::deserialize(deserializer)
+        } else {
+            f32::deserialize(deserializer).map(f64::from)
+        }
+    }
+}
+
 /// A slope with 64 bits in texts and with 32 bits in messages, whose room is short.
 mod slope {
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -155,6 +176,19 @@ pub enum Orientation {
     Path,
 }
 
+/// How setpoints keep a resonance of the mechanics quiet.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum InputShaper {
+    /// Not at all.
+    #[default]
+    None,
+    /// By two copies half a period apart (zero vibration): for a frequency known within 5 %.
+    Zv,
+    /// By copies over two periods (zero vibration and derivative): for a frequency known within 10 %.
+    Zvd,
+}
+
 /// Limits and tolerances of motion.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields, default)]
@@ -183,6 +217,14 @@ pub struct MotionLimits {
     pub travel_tolerance_mm: f64,
     /// Length of the moving average that bounds jerk, ms; 0 switches it off.
     pub jerk_window_ms: u16,
+    /// How setpoints keep a resonance of the mechanics quiet.
+    pub input_shaper: InputShaper,
+    /// Frequency of the resonance without damping, Hz. A message carries it in 32 bits.
+    #[serde(with = "short")]
+    pub resonance_hz: f64,
+    /// Damping ratio of the resonance. A message carries it in 32 bits.
+    #[serde(with = "short")]
+    pub resonance_damping: f64,
     /// Time at rest on the path before the pen is lifted when path data stop coming, ms.
     pub starve_dwell_ms: u16,
 }
@@ -202,6 +244,9 @@ impl Default for MotionLimits {
             tolerance_mm: 0.05,
             travel_tolerance_mm: 0.5,
             jerk_window_ms: 4,
+            input_shaper: InputShaper::None,
+            resonance_hz: 45.0,
+            resonance_damping: 0.03,
             starve_dwell_ms: 500,
         }
     }

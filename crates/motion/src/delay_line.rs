@@ -1,0 +1,134 @@
+//! A tapped delay line: sums the copies of the path's points that an input shaper asks for.
+
+use super::averaging::TICK_S;
+use super::input_shaper::{COPIES, Copies};
+use super::shaping::Label;
+use crate::robots::vector::{Vector, add_scaled, subtract};
+use crate::settings::MotionLimits;
+
+/// A copy that does not fall on a millisecond is split between the two beside it.
+const TAPS: usize = 2 * COPIES;
+/// Milliseconds that are kept: four half periods of the lowest frequency at the highest damping, and one for the split.
+const KEPT: usize = 104;
+
+/// A point of the path with its attributes.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct PathSample {
+    pub(crate) point: Vector,
+    /// Angle of the fourth axis, rad.
+    pub(crate) heading: f64,
+    pub(crate) label: Label,
+}
+
+impl PathSample {
+    pub(crate) const NONE: Self = Self {
+        point: [0.0; 3],
+        heading: 0.0,
+        label: Label::NONE,
+    };
+}
+
+/// A part of a copy: how many milliseconds it is late, and its weight.
+#[derive(Clone, Copy, Debug)]
+struct Tap {
+    late: usize,
+    weight: f64,
+}
+
+/// Sums delayed copies. Without a shaper the newest point passes.
+#[derive(Clone, Debug)]
+pub(crate) struct DelayLine {
+    taps: [Tap; TAPS],
+    used: usize,
+    /// Milliseconds from the first copy to the last one.
+    length: usize,
+    /// Mean delay of the copies, ms; labels come so much later.
+    lag: usize,
+    kept: [PathSample; KEPT],
+    newest: usize,
+    /// Milliseconds until the sum is at rest once the points are.
+    settling_ms: usize,
+}
+
+impl DelayLine {
+    /// A line without an input shaper. All of its bits are zero.
+    pub(crate) const fn new() -> Self {
+        Self {
+            taps: [Tap { late: 0, weight: 0.0 }; TAPS],
+            used: 0,
+            length: 0,
+            lag: 0,
+            kept: [PathSample::NONE; KEPT],
+            newest: 0,
+            settling_ms: 0,
+        }
+    }
+
+    /// Takes the copies that the limits ask for. At rest until filled.
+    pub(crate) fn configure(&mut self, motion: &MotionLimits) {
+        (self.used, self.length, self.lag, self.settling_ms) = (0, 0, 0, 0);
+        let Some(copies) = Copies::new(motion) else {
+            return;
+        };
+        let apart_ms = copies.apart_s / TICK_S;
+        let pairs = self.taps.chunks_exact_mut(2).zip(copies.weights).zip(0_u8..);
+        for ((pair, weight), at) in pairs {
+            let late_ms = apart_ms * f64::from(at);
+            let late = (late_ms as usize).min(KEPT - 2);
+            let part = (late_ms - late as f64).clamp(0.0, 1.0);
+            if let [earlier, later] = pair {
+                let [first, second] = [weight * (1.0 - part), weight * part];
+                *earlier = Tap { late, weight: first };
+                *later = Tap {
+                    late: late + 1,
+                    weight: second,
+                };
+            }
+            if weight != 0.0 {
+                (self.used, self.length) = (2 * (usize::from(at) + 1), late + 1);
+            }
+        }
+        self.lag = libm::round(copies.mean_s() / TICK_S) as usize;
+    }
+
+    /// Every copy stands at this point.
+    pub(crate) fn fill(&mut self, sample: &PathSample) {
+        self.kept = [*sample; KEPT];
+        self.settling_ms = 0;
+    }
+
+    /// Whether the sum is at rest.
+    pub(crate) fn settled(&self) -> bool {
+        self.settling_ms == 0
+    }
+
+    /// Takes the next point; returns the sum of the copies, with the label that has become valid.
+    pub(crate) fn pass(&mut self, sample: &PathSample) -> PathSample {
+        if self.used == 0 {
+            return *sample;
+        }
+        let before = self.kept[self.newest];
+        self.settling_ms = if sample.point == before.point && sample.heading == before.heading {
+            self.settling_ms.saturating_sub(1)
+        } else {
+            self.length
+        };
+        self.newest = (self.newest + 1) % KEPT;
+        self.kept[self.newest] = *sample;
+        let mut sum = PathSample {
+            label: self.back(self.lag).label,
+            ..*sample
+        };
+        for tap in self.taps.iter().take(self.used) {
+            let copy = self.back(tap.late);
+            // The differences are zero at rest, where the sum is exactly the point.
+            sum.point = add_scaled(&sum.point, &subtract(&copy.point, &sample.point), tap.weight);
+            sum.heading += tap.weight * (copy.heading - sample.heading);
+        }
+        sum
+    }
+
+    fn back(&self, late: usize) -> &PathSample {
+        &self.kept[(self.newest + KEPT - late.min(KEPT)) % KEPT]
+    }
+}

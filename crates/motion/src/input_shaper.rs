@@ -1,0 +1,160 @@
+//! Input shaping: setpoints that do not make a resonance of the mechanics ring.
+//!
+//! The setpoints are summed with delayed copies of themselves, half a damped period apart. Two leave no vibration of that
+//! frequency behind (ZV, zero vibration; Smith 1957), three almost none of the neighbouring ones either (ZVD, zero vibration
+//! and derivative; Singer and Seering 1990).
+//!
+//! A sum of copies lies inside of a curve by half of the copies' variance times the acceleration. A resonant tool swings
+//! outward by the acceleration over the square of its angular frequency w. What is left at the tool is 0.234 times the
+//! acceleration over w^2 with ZV, which keeps it, and 1.467 times with ZVD, which takes it off beforehand: each place gives way
+//! to its second difference over the distance of the copies. There are five copies then, the outer two negative, so speeds and
+//! accelerations grow by a seventh at most, and the planner plans with so much less.
+//!
+//! All axes have the same copies, or a line would bend where its speed changes.
+
+use crate::settings::{InputShaper, MotionLimits};
+use core::f64::consts::{PI, TAU};
+
+/// Lowest and highest frequency of a resonance, Hz.
+pub(crate) const RESONANCE_HZ: [f64; 2] = [20.0, 200.0];
+/// Highest damping ratio of a resonance.
+pub(crate) const DAMPING_MAX: f64 = 0.2;
+/// Most copies of the setpoints.
+pub(crate) const COPIES: usize = 5;
+/// Half of the variance that a copy has which is split between two milliseconds, s2, at most.
+const SPLIT_S2: f64 = 1.0e-6 / 8.0;
+/// What the second difference leaves of what it takes off, at corners, where it comes and goes quicker than the copies: on the
+/// paths of `checks::vibration` the tool is off by less.
+const LEFT_OF_COMPENSATED: f64 = 0.55;
+
+/// The copies: weights with the sum 1, evenly apart.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Copies {
+    pub(crate) weights: [f64; COPIES],
+    pub(crate) apart_s: f64,
+    /// Part of the second difference over `apart_s` that is taken off beforehand.
+    taken_off: f64,
+    /// Half of the variance of the copies without what is taken off, s2.
+    inside_s2: f64,
+    /// What the copies and the resonance leave of it at the tool, s2.
+    left_s2: f64,
+}
+
+impl Copies {
+    /// The copies for the limits; `None` without a shaper.
+    pub(crate) fn new(motion: &MotionLimits) -> Option<Self> {
+        let damping = motion.resonance_damping.clamp(0.0, DAMPING_MAX);
+        let hz = motion.resonance_hz.clamp(RESONANCE_HZ[0], RESONANCE_HZ[1]);
+        let root = libm::sqrt(1.0 - damping * damping);
+        // How far the vibration decays in half a damped period.
+        let decay = libm::exp(-PI * damping / root);
+        let [first, second, third] = match motion.input_shaper {
+            InputShaper::None => return None,
+            InputShaper::Zv => [1.0, decay, 0.0],
+            InputShaper::Zvd => [1.0, 2.0 * decay, decay * decay],
+        };
+        let sum = first + second + third;
+        let apart_s = 0.5 / (hz * root);
+        let weights = [first / sum, second / sum, third / sum, 0.0, 0.0];
+        let inside_s2 = 0.5 * variance(&weights) * apart_s * apart_s;
+        let rate = TAU * hz;
+        // A damped oscillator gives back a little less than 1 / w^2.
+        let left_s2 = inside_s2 - (1.0 - 2.0 * damping * damping) / (rate * rate);
+        let plain = Self {
+            weights,
+            apart_s,
+            taken_off: 0.0,
+            inside_s2,
+            left_s2,
+        };
+        if motion.input_shaper == InputShaper::Zv {
+            return Some(plain);
+        }
+        Some(Self {
+            left_s2: LEFT_OF_COMPENSATED * left_s2,
+            ..plain.compensated(left_s2 / (apart_s * apart_s))
+        })
+    }
+
+    /// The copies of p - c p'', with p'' as the second difference over their distance: later by this distance.
+    fn compensated(&self, taken_off: f64) -> Self {
+        let mut weights = [0.0; COPIES];
+        for (at, weight) in self.weights.iter().enumerate() {
+            for (later, part) in [-taken_off, 1.0 + 2.0 * taken_off, -taken_off].into_iter().enumerate() {
+                if let Some(sum) = weights.get_mut(at + later) {
+                    *sum += weight * part;
+                }
+            }
+        }
+        Self {
+            weights,
+            taken_off,
+            ..*self
+        }
+    }
+
+    /// Mean delay of the copies, s.
+    pub(crate) fn mean_s(&self) -> f64 {
+        self.apart_s * mean(&self.weights)
+    }
+
+    /// Bound on how far the tool may be from its place with this acceleration, mm/s2, if the resonance is as it is stated, mm.
+    pub(crate) fn at_tool_mm(&self, acceleration: f64) -> f64 {
+        (self.left_s2 + SPLIT_S2) * acceleration
+    }
+
+    /// Lowest frequency at which [`Self::at_tool_mm`] is at most this for the limits, Hz: the lower it is, the farther apart are
+    /// the copies.
+    pub(crate) fn lowest_hz(motion: &MotionLimits, at_tool_mm: f64) -> f64 {
+        let [lowest_hz, highest_hz] = RESONANCE_HZ;
+        let highest = MotionLimits {
+            resonance_hz: highest_hz,
+            ..*motion
+        };
+        let acceleration = motion.acceleration_mm_s2;
+        Self::new(&highest).map_or(lowest_hz, |copies| {
+            let room_mm = (at_tool_mm - SPLIT_S2 * acceleration).max(0.0);
+            (highest_hz * libm::sqrt(copies.left_s2 * acceleration / room_mm)).max(lowest_hz)
+        })
+    }
+
+    /// Bound on how far the setpoints themselves may be from their places with this acceleration, mm/s2, mm.
+    pub(crate) fn at_setpoints_mm(&self, acceleration: f64) -> f64 {
+        (self.inside_s2 + self.taken_off * self.apart_s * self.apart_s) * acceleration
+    }
+
+    /// The acceleration to plan with for setpoints that keep this one.
+    pub(crate) fn planned_acceleration(&self, acceleration: f64) -> f64 {
+        acceleration / self.growth()
+    }
+
+    /// The speed to plan with for setpoints that keep this one, if what is planned keeps the acceleration: the second
+    /// difference of the speed is at most twice what the acceleration brings over the distance of the copies.
+    pub(crate) fn planned_speed(&self, speed: f64, acceleration: f64) -> f64 {
+        let by_ramps = speed - 2.0 * self.taken_off * self.apart_s * acceleration;
+        by_ramps.max(speed / self.growth())
+    }
+
+    /// By how much a value grows at most.
+    fn growth(&self) -> f64 {
+        self.weights.iter().map(|weight| weight.abs()).sum()
+    }
+}
+
+fn mean(weights: &[f64; COPIES]) -> f64 {
+    weights
+        .iter()
+        .zip(0_u8..)
+        .map(|(weight, at)| weight * f64::from(at))
+        .sum()
+}
+
+/// Variance of the copies, in squares of their distance.
+fn variance(weights: &[f64; COPIES]) -> f64 {
+    let mean = mean(weights);
+    let squares = weights.iter().zip(0_u8..).map(|(weight, at)| {
+        let off = f64::from(at) - mean;
+        weight * off * off
+    });
+    squares.sum()
+}
