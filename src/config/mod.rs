@@ -15,7 +15,7 @@ mod tool;
 pub use axis::{Axis, AxisMode, HomeSwitch};
 pub use bounds::{ConfigError, Field, QUICK_STOP_MAX_MS};
 pub use bus::{AddressError, Bus, HostAddress, NetworkSettings, Transport};
-pub use etherpen_motion::settings::{Geometry, MotionLimits, Orientation, Paper, Plane, WorkVolume};
+pub use etherpen_motion::settings::{Geometry, InputShaper, MotionLimits, Orientation, Paper, Plane, WorkVolume};
 pub use io::{
     IO_MAX, IO_NAME_MAX, IoDirection, IoError, IoName, IoPoint, IoPoints, IoRole, IoType, ObjectName, OnFault,
     SAMPLE_WORD_BYTES_MAX, SAMPLE_WORDS_MAX, sampled_words,

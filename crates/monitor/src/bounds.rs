@@ -10,7 +10,7 @@ pub(crate) const STILL_RAD_S: f64 = 1.0e-3;
 /// How far a joint that is to stand may be from where it stood, rad. The controller promises it for a robot that only
 /// holds (`tests/reactions/unreferenced.rs`); motors that take over their load from the brakes sag by less.
 pub(crate) const STAND_RAD: f64 = 0.02;
-/// Longest time from an order to its effect on the motors, ms: 12 for the planner's period, 24 for its ring of
+/// Longest time from an order to its effect on the motors without an input shaper, ms: 12 for the planner's period, 24 for its ring of
 /// setpoints, 12 for the sampler's look-ahead, at most 32 for the moving average, and the drives.
 pub(crate) const PIPELINE_MS: u64 = 100;
 /// Longest time from a decision of the controller to its arrival at the operator, ms: a serial line with telemetry on
@@ -136,15 +136,16 @@ impl Bounds {
         let lift_s = cell.paper.pen_lift_mm / at_least(lift_speed)
             + 2.0 * (cell.paper.pen_lift_mm / at_least(BRAKING_PART * pen_acceleration.min(by_joints))).sqrt();
         let pauses_ms = 2 * u64::from(cell.pen_dwell_ms);
+        let pipeline_ms = PIPELINE_MS + u64::from(cell.shaper_ms);
         let lag = 0.5 * cell.tool_acceleration_mm_s2 * FOLLOWING_LAG_S * FOLLOWING_LAG_S;
         let following_mm = cell.following_mm + lag.max(0.0);
         Self {
             joints,
             axes: cell.joints.len().min(AXES_MAX),
             lift_mm_s: lift_speed.min((cell.tool_acceleration_mm_s2 * cell.paper.pen_lift_mm).max(0.0).sqrt()),
-            slowing_ms: PIPELINE_MS + braking_ms,
+            slowing_ms: pipeline_ms + braking_ms,
             // A pen that is being lowered is lowered, and then lifted.
-            hold_ms: PIPELINE_MS + braking_ms + 3 * milliseconds(lift_s) + pauses_ms + SETTLE_MS,
+            hold_ms: pipeline_ms + braking_ms + 3 * milliseconds(lift_s) + pauses_ms + SETTLE_MS,
             jog_mm_s2: JOG_DECELERATION_MAX_MM_S2
                 .min(BRAKING_PART * cell.tool_acceleration_mm_s2.min(by_joints))
                 .min(or_none(cell.pen_acceleration_mm_s2)),
@@ -164,7 +165,8 @@ impl Bounds {
     /// Longest time from the last message of a jog with this speed, mm/s, to rest, ms.
     pub(crate) fn jog_ms(&self, cell: &Cell, speed_mm_s: f64) -> u64 {
         let speed = speed_mm_s.min(JOG_SPEED_MAX_MM_S).min(cell.travel_speed_mm_s);
-        u64::from(cell.dead_man_ms) + PIPELINE_MS + milliseconds(speed / at_least(self.jog_mm_s2))
+        let pipeline_ms = PIPELINE_MS + u64::from(cell.shaper_ms);
+        u64::from(cell.dead_man_ms) + pipeline_ms + milliseconds(speed / at_least(self.jog_mm_s2))
     }
 
     /// A speed of the tool with its margin, mm/s.

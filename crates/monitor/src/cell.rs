@@ -158,6 +158,8 @@ pub struct Cell {
     pub tolerance_mm: f64,
     /// Largest deviation of the setpoints from the path with the pen up, mm.
     pub travel_tolerance_mm: f64,
+    /// Time over which an input shaper spreads each setpoint, ms; 0 without one.
+    pub shaper_ms: u32,
     /// How far the tool may be from its setpoints at rest and in steady motion, mm. 0.3 leaves room beside the 0.1 mm
     /// that drives with a velocity loop of their own keep; motors in torque mode need 1.0 (`tests/drives.rs`).
     pub following_mm: f64,
@@ -222,6 +224,7 @@ impl Default for Cell {
             pen_dwell_ms: 0,
             tolerance_mm: 0.05,
             travel_tolerance_mm: 0.5,
+            shaper_ms: 0,
             following_mm: 0.3,
             undisturbed_mm: 0.3,
             kept_torque_mm_s2: 0.0,

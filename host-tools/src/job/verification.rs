@@ -22,7 +22,7 @@ use crate::matching::{Polyline, Search, SearchLimits, SearchProgress, Step, dist
 use etherpen::application::Mode;
 use etherpen::config::{AxisMode, Config};
 use etherpen::messages::{PathVertex, Sample};
-use etherpen::motion::Pen;
+use etherpen::motion::{Pen, shaper_deviation_mm};
 use etherpen::robots::{JointAngles, Kinematics, Position};
 use std::collections::{HashMap, VecDeque};
 use verdict::VerifiedStroke;
@@ -147,7 +147,7 @@ impl Verifier {
             numbers: HashMap::new(),
             kinematics: Kinematics::new(&config.geometry).ok(),
             age_ms: config.axes[0].measurement_age_ms.round().max(0.0) as u32,
-            near_mm: if is_torque { FOLLOWED_BY_TORQUE_MM } else { FOLLOWED_MM },
+            near_mm: shaper_deviation_mm(&config.motion) + if is_torque { FOLLOWED_BY_TORQUE_MM } else { FOLLOWED_MM },
             speed_mm_s: SPEED_SHARE * config.motion.speed_mm_s,
             newest: None,
             recent: VecDeque::new(),

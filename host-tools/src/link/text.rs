@@ -403,6 +403,10 @@ pub fn config_error(error: &ConfigError) -> String {
         }
         "axes.quick_stop_rad_s2" => "the axis must stop from its highest speed before its brake closes; ",
         "axes.alias" | "axes.switch" | "axes.serial" => "another axis expects the same drive; ",
+        "motion.resonance_hz" if error.value < error.high => {
+            "the input shaper leads the tool farther from its line at a lower frequency: a larger tolerance_mm or a lower \
+             acceleration_mm_s2 allows it; "
+        }
         "axes.gear" if is_linear(error) => "it is gear times 628.3 mm / pitch_mm; ",
         _ => "",
     };

@@ -5,7 +5,7 @@
 use super::track::Track;
 use super::{PlannedSample, Run};
 use etherpen::config::{Config, MotionLimits};
-use etherpen::motion::{PERIOD_MS, Pen, Vertex};
+use etherpen::motion::{PERIOD_MS, Pen, Vertex, shaper_deviation_mm};
 use etherpen::robots::AXES;
 use etherpen::robots::vector::{Vector, length, subtract};
 use serde::Serialize;
@@ -49,6 +49,9 @@ pub struct Limits {
     pub tolerance_mm: f64,
     /// Distance from the path with the pen up, mm.
     pub travel_tolerance_mm: f64,
+    /// Distance from the path beside the tolerance, mm: where an input shaper leads the setpoints of a tool that swings
+    /// outward. 0 without one.
+    pub shaper_deviation_mm: f64,
     /// Length of the planner's moving average, ms.
     pub jerk_window_ms: u16,
 }
@@ -68,6 +71,7 @@ impl Limits {
             pen_acceleration_mm_s2: given(motion.pen_acceleration_mm_s2),
             tolerance_mm: motion.tolerance_mm,
             travel_tolerance_mm: motion.travel_tolerance_mm,
+            shaper_deviation_mm: shaper_deviation_mm(motion),
             jerk_window_ms,
         }
     }
@@ -239,6 +243,7 @@ impl Analysis {
             (1, "travel_tolerance_mm", self.limits.travel_tolerance_mm)
         };
         raise(&mut self.deviation[index], deviation);
+        let limit = limit + self.limits.shaper_deviation_mm;
         self.check(Some(t_ms), limit_of, None, None, deviation, limit);
         self.last = Some(here);
     }
@@ -315,6 +320,7 @@ impl Analysis {
             ("tolerance_mm", corners.drawn, tolerance_mm),
             ("travel_tolerance_mm", corners.travel, travel_tolerance_mm),
         ] {
+            let limit = limit + self.limits.shaper_deviation_mm;
             self.check(None, limit_of, None, Some(vertex), (distance - bow_mm).max(0.0), limit);
         }
         let [drawn, travel] = self.deviation;

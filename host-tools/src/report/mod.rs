@@ -26,7 +26,7 @@ use deviation::{Distances, Moment, deviation, ink_deviation, ink_missing};
 use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::messages::{Counters, Sample};
-use etherpen::motion::{Pen, Vertex, effective_jerk_window_ms};
+use etherpen::motion::{Pen, Vertex, effective_jerk_window_ms, shaper_deviation_mm};
 use etherpen::robots::{AXES, JointAngles, Kinematics, Position};
 use platform::platform_limits;
 use serde::Serialize;
@@ -138,7 +138,7 @@ pub struct Report {
     pub ink_deviation_rms_mm: f64,
     /// Share of the shaping: largest distance of the pen-down references from their strokes, mm.
     pub shaping_deviation_max_mm: f64,
-    /// Largest deviation allowed for the shaping, mm.
+    /// Largest deviation allowed for the shaping, mm: the tolerance, and what an input shaper adds to it.
     pub shaping_tolerance_mm: f64,
     /// Share of the tracking: largest distance in space between a measured position and its pen-down reference, mm,
     /// along the path and across it.
@@ -305,7 +305,10 @@ impl Report {
             ink_deviation_max_mm: ink.max_mm,
             ink_deviation_rms_mm: ink.rms_mm,
             shaping_deviation_max_mm: shaping.max_mm,
-            shaping_tolerance_mm: evidence.config.motion.tolerance_mm,
+            shaping_tolerance_mm: {
+                let motion = &evidence.config.motion;
+                motion.tolerance_mm + shaper_deviation_mm(motion)
+            },
             tracking_error_max_mm: tracking.max_mm,
             tracking_error_rms_mm: tracking.rms_mm,
             ink_missing_mm,

@@ -29,27 +29,6 @@ pub struct Paper {
     pub slope: [f64; 2],
 }
 
-/// A number with 64 bits in texts and with 32 bits in messages, whose room is short.
-mod short {
-    use serde::{Deserialize, Deserializer, Serialize, Serializer};
-
-    pub(super) fn serialize<S: Serializer>(value: &f64, serializer: S) -> Result<S::Ok, S::Error> {
-        if serializer.is_human_readable() {
-            value.serialize(serializer)
-        } else {
-            (*value as f32).serialize(serializer)
-        }
-    }
-
-    pub(super) fn deserialize<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Error> {
-        if deserializer.is_human_readable() {
-            f64::deserialize(deserializer)
-        } else {
-            f32::deserialize(deserializer).map(f64::from)
-        }
-    }
-}
-
 /// A slope with 64 bits in texts and with 32 bits in messages, whose room is short.
 mod slope {
     use serde::{Deserialize, Deserializer, Serialize, Serializer};
@@ -219,11 +198,9 @@ pub struct MotionLimits {
     pub jerk_window_ms: u16,
     /// How setpoints keep a resonance of the mechanics quiet.
     pub input_shaper: InputShaper,
-    /// Frequency of the resonance without damping, Hz. A message carries it in 32 bits.
-    #[serde(with = "short")]
+    /// Frequency of the resonance without damping, Hz.
     pub resonance_hz: f64,
-    /// Damping ratio of the resonance. A message carries it in 32 bits.
-    #[serde(with = "short")]
+    /// Damping ratio of the resonance.
     pub resonance_damping: f64,
     /// Time at rest on the path before the pen is lifted when path data stop coming, ms.
     pub starve_dwell_ms: u16,

@@ -32,6 +32,8 @@ const POSITION_SEED: u64 = 0x0005_1710_0000;
 const TILT_SEED: u64 = 0x0711_7000_0000;
 /// Gives the choice of one telegram for both directions random numbers of its own.
 const EXCHANGE_SEED: u64 = 0x0C03_B140_0000;
+/// Gives the input shaper random numbers of its own.
+const SHAPER_SEED: u64 = 0x0005_4A9E_0000;
 /// Gives the pose at the start random numbers of its own.
 const FOLD_SEED: u64 = 0x0F01_DED0_0000;
 
@@ -53,6 +55,10 @@ pub(super) fn vary(episode: &mut Episode, machine: &Machine, seed: u64, chance: 
     if Chance::new(seed ^ EXCHANGE_SEED).one_in(4) {
         let combined = Value::String("combined".into());
         episode.config.insert("bus.exchange".into(), combined);
+    }
+    let mut shaping = Chance::new(seed ^ SHAPER_SEED);
+    if shaping.one_in(4) {
+        shape(episode, &mut shaping);
     }
     let mut folding = Chance::new(seed ^ FOLD_SEED);
     // Drives in torque mode follow well near the work area only: folded, the joints have less inertia than is configured.
@@ -181,6 +187,26 @@ fn by_position(episode: &mut Episode, machine: &Machine) {
         // An axis may be faster with this gain, and then cannot have a gentle stop.
         episode.config.retain(|place, _| !place.ends_with(".quick_stop_rad_s2"));
         keep_valid(episode);
+    }
+}
+
+/// Lets an input shaper keep a resonance quiet, if it can within the tolerance.
+fn shape(episode: &mut Episode, chance: &mut Chance) {
+    let shaper = if chance.one_in(2) { "zv" } else { "zvd" };
+    let rounded = |value: f64| Value::Float((value * 1e3).round() / 1e3);
+    let values = [
+        ("motion.input_shaper", Value::String(shaper.into())),
+        ("motion.resonance_hz", rounded(chance.scaled(20.0, 200.0))),
+        ("motion.resonance_damping", rounded(chance.between(0.0, 0.2))),
+    ];
+    let places = values.each_ref().map(|(place, _)| *place);
+    episode
+        .config
+        .extend(values.map(|(place, value)| (place.to_string(), value)));
+    if episode.configuration().is_err() {
+        for place in places {
+            episode.config.remove(place);
+        }
     }
 }
 

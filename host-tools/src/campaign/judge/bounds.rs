@@ -3,7 +3,7 @@
 use super::super::machine::has_height_axis;
 use super::super::robot;
 use crate::cell::{PEN_SPRING_MM, Product};
-use etherpen::config::{Axis, AxisMode, Config, PenLiftKind, Transport};
+use etherpen::config::{Axis, AxisMode, Config, InputShaper, MotionLimits, PenLiftKind, Transport};
 use etherpen::robots::MAIN_AXES;
 use etherpen_monitor as monitor;
 
@@ -63,7 +63,29 @@ pub(in super::super) fn ink_limit_mm(config: &Config) -> f64 {
     } else {
         0.0
     };
-    config.motion.tolerance_mm + following_mm(config) + missing_mm
+    config.motion.tolerance_mm + shaper_mm(&config.motion) + following_mm(config) + missing_mm
+}
+
+/// Periods of the resonance over which an input shaper spreads each setpoint, with room for the damping that it may have.
+fn shaper_periods(motion: &MotionLimits) -> f64 {
+    match motion.input_shaper {
+        InputShaper::None => 0.0,
+        InputShaper::Zv => 0.55,
+        InputShaper::Zvd => 2.2,
+    }
+}
+
+/// How far from its line an input shaper may lead the setpoints of a tool that does not swing, mm: half of the variance of its
+/// copies, pi^2 / 8 and pi^2 / 4 over the square of the angular frequency, times the acceleration, and with ZVD what it takes
+/// off beforehand. A resonance may be damped, which makes the copies a little farther apart.
+fn shaper_mm(motion: &MotionLimits) -> f64 {
+    let rate_per_s = core::f64::consts::TAU * motion.resonance_hz;
+    let part = match motion.input_shaper {
+        InputShaper::None => 0.0,
+        InputShaper::Zv => 1.3,
+        InputShaper::Zvd => 2.6 + 1.6,
+    };
+    part * motion.acceleration_mm_s2 / (rate_per_s * rate_per_s)
 }
 
 /// Slowest vertical speed of lowering and lifting, mm/s; 0 if only the limits of all motion apply. A lift by an output takes
@@ -152,8 +174,9 @@ pub(super) fn cell(config: &Config) -> monitor::Cell {
         pen_speed_mm_s: pen_speed_mm_s(config),
         pen_acceleration_mm_s2: motion.pen_acceleration_mm_s2,
         pen_dwell_ms: motion.pen_dwell_ms.into(),
-        tolerance_mm: motion.tolerance_mm,
-        travel_tolerance_mm: motion.travel_tolerance_mm,
+        tolerance_mm: motion.tolerance_mm + shaper_mm(motion),
+        travel_tolerance_mm: motion.travel_tolerance_mm + shaper_mm(motion),
+        shaper_ms: (shaper_periods(motion) * 1e3 / motion.resonance_hz).ceil() as u32 + 1,
         dead_man_ms: config.bus.dead_man_ms.into(),
         blind_ms: config.bus.blind_max_ms.into(),
         watchdog_ms: config.bus.watchdog_ms.into(),
