@@ -21,6 +21,7 @@ use crate::motion::Trajectory;
 use crate::network::{NetworkEnd, NetworkQueues, NetworkTask};
 use crate::robot_bus::{MASTER_ADDRESS, RobotBusQueues, RobotExchange, RobotExchangeEnd, RobotGroup, RobotSupervisor};
 use crate::trajectory_task::{MotionOrder, MotionReport, PathItem, TrajectoryTask};
+use core::mem::MaybeUninit;
 use heapless::spsc::{Consumer, Producer, Queue};
 
 /// Setpoints between the trajectory task and the sampler: the period being read, the next one, and a spare.
@@ -125,8 +126,20 @@ impl Channels {
         }
     }
 
+    /// Makes the task bodies in their place, so that they lie on the stack once only; the rest as [`Self::split`].
+    #[inline(never)]
+    pub fn split_into<'a>(
+        &'a mut self,
+        board: &'static str,
+        black_box: &'a Memory,
+        place: &'a mut MaybeUninit<Parts<'a>>,
+    ) -> &'a mut Parts<'a> {
+        place.write(self.split(board, black_box))
+    }
+
     /// Makes the task bodies; `board` is the name the firmware reports to the host, `black_box` the memory that
     /// survives a reset, started.
+    #[inline(always)]
     pub fn split<'a>(&'a mut self, board: &'static str, black_box: &'a Memory) -> Parts<'a> {
         self.endpoint.set_board(board);
         let (setpoints_in, setpoints_out) = self.setpoints.split();

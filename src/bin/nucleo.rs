@@ -130,7 +130,7 @@ mod app {
             usb_memory,
             ..
         } = context.local;
-        let parts = parts.write(channels.split(NAME, &BLACK_BOX));
+        let parts = channels.split_into(NAME, &BLACK_BOX, parts);
         parts.link.set_previous_run(previous);
         crash_record::step_begins("Ethernet");
         let unique = unique_number();
