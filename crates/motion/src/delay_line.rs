@@ -3,7 +3,7 @@
 use super::averaging::TICK_S;
 use super::input_shaper::{COPIES, Copies};
 use super::shaping::Label;
-use crate::robots::vector::{Vector, add_scaled, subtract};
+use crate::robots::vector::Vector;
 use crate::settings::MotionLimits;
 
 /// A copy that does not fall on a millisecond is split between the two beside it.
@@ -28,11 +28,20 @@ impl PathSample {
     };
 }
 
-/// A part of a copy: how many milliseconds it is late, and its weight.
+/// A part of a copy: how many milliseconds it is late, and its weights over the paper, and in height and for the fourth axis.
 #[derive(Clone, Copy, Debug)]
 struct Tap {
     late: usize,
-    weight: f64,
+    level: f64,
+    plain: f64,
+}
+
+impl Tap {
+    const NONE: Self = Self {
+        late: 0,
+        level: 0.0,
+        plain: 0.0,
+    };
 }
 
 /// Sums delayed copies. Without a shaper the newest point passes.
@@ -54,7 +63,7 @@ impl DelayLine {
     /// A line without an input shaper. All of its bits are zero.
     pub(crate) const fn new() -> Self {
         Self {
-            taps: [Tap { late: 0, weight: 0.0 }; TAPS],
+            taps: [Tap::NONE; TAPS],
             used: 0,
             length: 0,
             lag: 0,
@@ -71,20 +80,21 @@ impl DelayLine {
             return;
         };
         let apart_ms = copies.apart_s / TICK_S;
-        let pairs = self.taps.chunks_exact_mut(2).zip(copies.weights).zip(0_u8..);
-        for ((pair, weight), at) in pairs {
+        let weights = copies.weights.into_iter().zip(copies.plain);
+        let pairs = self.taps.chunks_exact_mut(2).zip(weights).zip(0_u8..);
+        for ((pair, (level, plain)), at) in pairs {
             let late_ms = apart_ms * f64::from(at);
             let late = (late_ms as usize).min(KEPT - 2);
-            let part = (late_ms - late as f64).clamp(0.0, 1.0);
-            if let [earlier, later] = pair {
-                let [first, second] = [weight * (1.0 - part), weight * part];
-                *earlier = Tap { late, weight: first };
-                *later = Tap {
-                    late: late + 1,
-                    weight: second,
+            let second = (late_ms - late as f64).clamp(0.0, 1.0);
+            let shares = [(late, 1.0 - second), (late + 1, second)];
+            for (tap, (late, share)) in pair.iter_mut().zip(shares) {
+                *tap = Tap {
+                    late,
+                    level: level * share,
+                    plain: plain * share,
                 };
             }
-            if weight != 0.0 {
+            if level != 0.0 {
                 (self.used, self.length) = (2 * (usize::from(at) + 1), late + 1);
             }
         }
@@ -122,8 +132,11 @@ impl DelayLine {
         for tap in self.taps.iter().take(self.used) {
             let copy = self.back(tap.late);
             // The differences are zero at rest, where the sum is exactly the point.
-            sum.point = add_scaled(&sum.point, &subtract(&copy.point, &sample.point), tap.weight);
-            sum.heading += tap.weight * (copy.heading - sample.heading);
+            let weights = [tap.level, tap.level, tap.plain];
+            for (((sum, late), now), weight) in sum.point.iter_mut().zip(copy.point).zip(sample.point).zip(weights) {
+                *sum += weight * (late - now);
+            }
+            sum.heading += tap.plain * (copy.heading - sample.heading);
         }
         sum
     }

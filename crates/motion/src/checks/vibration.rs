@@ -256,3 +256,26 @@ fn a_line_stays_straight_at_any_speed() {
         }
     }
 }
+
+#[test]
+fn a_shaped_lift_passes_neither_of_its_ends() {
+    for shaper in [InputShaper::Zv, InputShaper::Zvd] {
+        let bench = Bench::new(Kind::Gantry);
+        let mut settings = with(&bench.settings, shaper);
+        settings.motion.resonance_hz = 30.0;
+        let path = bench.fitted(&random_path(&mut Random::new(3), 4));
+        let run = Run::new(&settings, &path).whole();
+        let kinematics = Kinematics::new(&settings.geometry).unwrap();
+        let (low, high) = path.iter().fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), at| {
+            (low.min(at.position.z_mm), high.max(at.position.z_mm))
+        });
+        let mut moves = 0;
+        for pair in run.setpoints.windows(2) {
+            let [before, now] =
+                [&pair[0], &pair[1]].map(|at| kinematics.forward(&JointAngles(at.position_rad)).unwrap().z_mm);
+            assert!((low - 1.0e-6..high + 1.0e-6).contains(&now), "{shaper:?}: {now} mm");
+            moves += usize::from((now - before).abs() > 1.0e-6);
+        }
+        assert!(moves > 100, "{shaper:?} lifts");
+    }
+}
