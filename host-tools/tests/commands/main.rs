@@ -38,6 +38,7 @@ mod points;
 mod program;
 mod pysoem;
 mod recording;
+mod resonance;
 #[cfg(target_os = "linux")]
 mod restarted;
 mod segment;
