@@ -19,9 +19,6 @@ const LIGHT_FROM: f32 = 0.6;
 const LIGHT_FULL: f32 = 0.85;
 const DARKER_FULL: f32 = 0.25;
 const SET_OFF_RADII: f64 = 0.35;
-/// Where a head has hair: within so many radii of its face, down to so far below the face's centre.
-const HAIR_RADII: f64 = 2.2;
-const HAIR_DOWN: f64 = 0.5;
 /// How sure the edge of the subject is against the rim of a face's oval.
 pub(super) const MASK_SURE: f32 = 0.6;
 /// Ink inside an edge up to which nothing else shows it.
@@ -113,14 +110,7 @@ fn set_off(inside: &Plane, faces: &[Face], calm: &Plane) -> Plane {
         let light = (subject - LIGHT_FROM) / (LIGHT_FULL - LIGHT_FROM);
         light.clamp(0.0, 1.0) * ((subject - here) / DARKER_FULL).clamp(0.0, 1.0)
     });
-    let needed = needed.zip(&near, |needed, near| needed * (2.0 * near).min(1.0));
-    Plane::from_fn(needed.width(), needed.height(), |x, y| {
-        let beside = faces.iter().any(|face| {
-            let [across, down] = face.relative([x as f64, y as f64]);
-            down < HAIR_DOWN && across.hypot(down) < HAIR_RADII
-        });
-        if beside { needed.at(x as isize, y as isize) } else { 0.0 }
-    })
+    needed.zip(&near, |needed, near| needed * (2.0 * near).min(1.0))
 }
 
 /// Squared length.

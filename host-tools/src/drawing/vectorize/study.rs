@@ -21,12 +21,6 @@ const SKIN_FROM: f32 = 0.45;
 const SKIN_SURE: f32 = 0.66;
 /// Upper end of a high forehead above the centre of its face, in radii of the face.
 const FOREHEAD_ABOVE: f64 = 1.75;
-/// Where most faces have hair, in radii above the centre and to either side of it; the share of it that is like skin from which
-/// a forehead is a high one, and above which it surely is.
-const HAIR_AT: std::ops::Range<f64> = -1.45..-1.15;
-const FOREHEAD_ACROSS: f64 = 0.45;
-const HIGH_FROM: f32 = 0.5;
-const HIGH_OVER: f32 = 0.15;
 /// Differences of colour and of lightness from those of the sure skin at which a forehead beyond the oval is no skin, of 1.
 const SKIN_COLOUR: f32 = 0.04;
 const SKIN_LIGHTNESS: f32 = 0.25;
@@ -195,7 +189,17 @@ fn forehead(picture: &RgbImage, subject: &Subject, faces: &[Face], ovals: &Plane
     // Hair is rougher than skin.
     let rough = even(&light.zip(&even_light, |value, even| (value - even).abs()));
     let rough_max = (ROUGH_MAX * median_inside(&rough, &inside).unwrap_or_default()).max(ROUGHNESS_MIN);
-    let mut alike = rough.map(|rough| (rough_max / rough.max(1e-4) - 1.0).clamp(0.0, 1.0));
+    let above = Plane::from_fn(size[0], size[1], |x, y| {
+        let above = faces.iter().filter(|face| face.has_features).map(|face| {
+            let [across, down] = face.relative([x as f64, y as f64]);
+            let away = across.hypot(down / FOREHEAD_ABOVE) as f32;
+            if down < 0.0 { 1.0 / (1.0 + away.powi(10)) } else { 0.0 }
+        });
+        above.fold(0.0, f32::max)
+    });
+    let mut alike = above.zip(&rough, |above, rough| {
+        above * (rough_max / rough.max(1e-4) - 1.0).clamp(0.0, 1.0)
+    });
     if let Some(mask) = &subject.mask {
         alike = alike.zip(&of_size(mask, size), f32::min);
     }
@@ -216,34 +220,7 @@ fn forehead(picture: &RgbImage, subject: &Subject, faces: &[Face], ovals: &Plane
         let share = plane.map(|value| (2.0 - 2.0 * (value - middle).abs() / most).clamp(0.0, 1.0));
         alike = alike.zip(&share, |alike, share| alike * share);
     }
-    let of_faces = faces.iter().filter(|face| face.has_features);
-    let high: Vec<(Face, f32)> = of_faces.map(|face| (*face, height(&alike, face))).collect();
-    let above = Plane::from_fn(size[0], size[1], |x, y| {
-        let above = high.iter().map(|(face, high)| {
-            let [across, down] = face.relative([x as f64, y as f64]);
-            let away = across.hypot(down / FOREHEAD_ABOVE) as f32;
-            if down < 0.0 { high / (1.0 + away.powi(10)) } else { 0.0 }
-        });
-        above.fold(0.0, f32::max)
-    });
-    of_size(
-        &alike.zip(&above, |alike, above| alike * above),
-        [ovals.width(), ovals.height()],
-    )
-}
-
-/// How surely a face has a high forehead, 0 to 1, by what is like its skin where another one has hair.
-fn height(alike: &Plane, face: &Face) -> f32 {
-    let (mut sum, mut count) = (0.0, 0.0_f32);
-    for y in 0..alike.height() {
-        for x in 0..alike.width() {
-            let [across, down] = face.relative([x as f64, y as f64]);
-            if across.abs() < FOREHEAD_ACROSS && HAIR_AT.contains(&down) {
-                (sum, count) = (sum + alike.at(x as isize, y as isize), count + 1.0);
-            }
-        }
-    }
-    ((sum / count.max(1.0) - HIGH_FROM) / HIGH_OVER).clamp(0.0, 1.0)
+    of_size(&alike, [ovals.width(), ovals.height()])
 }
 
 /// The median of the values inside ovals.
