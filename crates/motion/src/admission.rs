@@ -6,16 +6,18 @@
 //! Where the fourth axis follows the path, its turns add up over a drawing. Admission keeps the accumulated angle and
 //! refuses a vertex whose leg would turn the axis out of its range.
 //!
-//! The shaped path is inside too. It stays in the hull of its vertices, which is enough for cylinder and planes. It
-//! stays within the tolerance of its legs, and the checked points keep that margin from the limits of the joints.
+//! The shaped path is inside too. It stays in the hull of its vertices, which is enough for cylinder and planes; the setpoints of
+//! a `zvd` input shaper may pass them by a part of its deviation. It stays within the tolerance of its legs and the deviation
+//! of the input shaper, and the checked points keep that margin from the limits of the joints.
 
+use super::averaging::shaper_deviation_mm;
 use super::heading::Winding;
 use super::pen_lift::PenLift;
 use super::work_area::{Outside, WorkArea};
 use super::{Pen, Refusal, RefusalReason, Vertex, jog};
 use crate::robots::vector::{Vector, add_scaled, length, subtract};
 use crate::robots::{GeometryError, JointAngles, OtherSide, Position};
-use crate::settings::{Orientation, Plane, Settings};
+use crate::settings::{MotionLimits, Orientation, Plane, Settings};
 
 /// Distance between checked points on a leg, mm.
 pub const LEG_CHECK_MM: f64 = 5.0;
@@ -26,6 +28,11 @@ pub const LEG_MIN_MM: f64 = 0.0005;
 const LEG_ROOM_MM: f64 = 0.05;
 /// Most points checked on one leg; more than any leg inside a work area needs.
 const LEG_CHECKS_MAX: u32 = 4_000;
+
+/// Margin kept from the joints' limits, mm.
+fn room_mm(motion: &MotionLimits) -> f64 {
+    motion.travel_tolerance_mm.max(motion.tolerance_mm) + shaper_deviation_mm(motion) + LEG_ROOM_MM
+}
 
 /// Checks the vertices of a path in order.
 #[derive(Clone, Debug)]
@@ -53,7 +60,7 @@ impl Admission {
         let down = settings.paper.plane();
         Ok(Self {
             area: WorkArea::new(settings)?,
-            room_mm: settings.motion.travel_tolerance_mm.max(settings.motion.tolerance_mm) + LEG_ROOM_MM,
+            room_mm: room_mm(&settings.motion),
             previous: None,
             start: None,
             winding: (settings.motion.orientation == Orientation::Path).then(Winding::default),

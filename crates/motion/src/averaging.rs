@@ -2,10 +2,9 @@
 //! vertices, and what remains for shaping.
 
 use crate::input_shaper::Copies;
+pub(crate) use crate::input_shaper::TICK_S;
 use crate::settings::{MotionLimits, Settings};
 
-/// One millisecond, s.
-pub(crate) const TICK_S: f64 = 1.0e-3;
 /// Largest part of the tolerance that the moving average may use.
 const AVERAGE_PART_MAX: f64 = 0.5;
 
@@ -48,7 +47,8 @@ pub fn effective_jerk_window_ms(settings: &Settings) -> u16 {
 }
 
 /// Lowest frequency of a resonance that the input shaper may keep quiet within the tolerance, Hz.
-pub(crate) fn resonance_min_hz(motion: &MotionLimits) -> f64 {
+#[must_use]
+pub fn resonance_min_hz(motion: &MotionLimits) -> f64 {
     let (_, average_mm) = averaging(motion);
     Copies::lowest_hz(motion, SMOOTHING_PART_MAX * motion.tolerance_mm - average_mm)
 }

@@ -104,6 +104,11 @@ impl DelayLine {
     /// Every copy stands at this point.
     pub(crate) fn fill(&mut self, sample: &PathSample) {
         self.kept = [*sample; KEPT];
+        self.stand();
+    }
+
+    /// The sum is at rest; the points are those of [`Self::fill`], which follows unless nothing may move.
+    pub(crate) fn stand(&mut self) {
         self.settling_ms = 0;
     }
 

@@ -58,8 +58,9 @@ mod work_area;
 mod work_volume;
 
 pub use admission::{Admission, LEG_CHECK_MM, LEG_MIN_MM};
-pub use averaging::{effective_jerk_window_ms, shaper_deviation_mm};
+pub use averaging::{effective_jerk_window_ms, resonance_min_hz, shaper_deviation_mm};
 pub use committed::{Observer, Passage};
+pub use input_shaper::RESONANCE_HZ;
 pub use outline::{Outline, Section, Station};
 pub use settings::Settings;
 pub use trajectory::{QUEUE_VERTICES, Trajectory};

@@ -211,6 +211,7 @@ impl MicroInterpolator {
         self.window = [(parts, Label::NONE); WINDOW_MAX];
         self.sums = parts.map(|value| value * self.length() as i64);
         self.settling_ms = 0;
+        self.copies.stand();
     }
 
     /// Sets the point of the pose at which the interpolator was placed.

@@ -14,6 +14,7 @@ use super::committed::{Observer, Passage};
 use super::delay_line::PathSample;
 use super::grid::{ARRIVED_MM, GridPoint, Span};
 use super::heading::{Course, NONE_RAD, Pause, Turning};
+use super::input_shaper::pen_dwell_s;
 use super::limits::Limits;
 use super::micro_interpolator::Stretch;
 use super::ring::Ring;
@@ -123,7 +124,7 @@ impl Plan {
         self.kinematics = kinematics;
         self.limits = limits;
         self.course.follows = motion.orientation == Orientation::Path;
-        self.dwell_s = f64::from(motion.pen_dwell_ms) * 1.0e-3;
+        self.dwell_s = pen_dwell_s(motion);
         self.wanted = 1.0;
         self.rest_at(PathSample::NONE);
     }

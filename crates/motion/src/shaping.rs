@@ -10,6 +10,7 @@
 use super::Pen;
 use super::averaging::{Tolerances, tolerances};
 use super::curve::{self, BlendShape, Curve};
+use super::input_shaper::pen_dwell_s;
 use super::ring::Ring;
 use crate::robots::vector::{Vector, add, cross, dot, length, scale, subtract};
 use crate::settings::Settings;
@@ -226,7 +227,7 @@ impl Shaper {
         let motion = &settings.motion;
         self.tolerances = tolerances(settings);
         self.fine = settings.geometry.needs_fine_curves();
-        self.dwells = motion.pen_dwell_ms > 0;
+        self.dwells = pen_dwell_s(motion) > 0.0;
         self.pen_limited = motion.pen_speed_mm_s > 0.0 || motion.pen_acceleration_mm_s2 > 0.0;
     }
 

@@ -10,8 +10,8 @@ use crate::output_file::OutputFile;
 use crate::output_file::{refuse_input, unwritable};
 use crate::planning::{CertificateReport, Findings, Table, analyse, certify};
 use crate::terminal::counted;
-use etherpen::config::{Config, MotionLimits, Orientation};
-use etherpen::motion::effective_jerk_window_ms;
+use etherpen::config::{Config, InputShaper, MotionLimits, Orientation};
+use etherpen::motion::{effective_jerk_window_ms, resonance_min_hz};
 use etherpen::robots::AXES;
 use serde::Serialize;
 use serde_json::Value;
@@ -153,6 +153,31 @@ impl LimitArguments {
     }
 }
 
+/// Whether the input shaper keeps the tolerance with the limits given by hand, and a certificate can be asked for.
+fn check_shaper(config: &Config, arguments: &Arguments) -> Result<(), ProgramError> {
+    let motion = &config.motion;
+    let usage = |text| Err(ProgramError::new(code::USAGE, text));
+    if motion.input_shaper == InputShaper::None {
+        return Ok(());
+    }
+    if arguments.certify.is_some() {
+        return usage(
+            "--certify: nothing is proved of setpoints that an input shaper sums; give a configuration with motion.input_shaper = \
+             \"none\""
+                .to_string(),
+        );
+    }
+    let lowest_hz = resonance_min_hz(motion);
+    if motion.resonance_hz >= lowest_hz {
+        return Ok(());
+    }
+    usage(format!(
+        "at {} mm/s2 and a tolerance of {} mm the input shaper keeps no resonance below {lowest_hz:.1} Hz quiet; motion.resonance_hz \
+         is {}: give a larger --tolerance or a lower --acceleration",
+        motion.acceleration_mm_s2, motion.tolerance_mm, motion.resonance_hz
+    ))
+}
+
 /// What the command prints.
 #[derive(Debug, Serialize)]
 struct Answer {
@@ -181,6 +206,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let mut config = arguments.config.load()?;
     arguments.limits.apply(&mut config);
     arguments.limits.apply_jerk_window(&mut config)?;
+    check_shaper(&config, arguments)?;
     let (path, vertices_merged) = read_path(&arguments.file, &config, &arguments.source)?;
     let mut table = arguments
         .samples

@@ -10,7 +10,7 @@ use etherpen::application::{Fault, IoRefusal, Mode, Refusal};
 use etherpen::board::{PreviousRun, RunEnd};
 use etherpen::config::{ConfigError, IO_NAME_MAX, IoError, IoRole};
 use etherpen::messages::{Command, ConfigRefusal, Status};
-use etherpen::motion::{Outside, RefusalReason};
+use etherpen::motion::{Outside, RESONANCE_HZ, RefusalReason};
 use etherpen::robots::{Kinematics, KinematicsError, Words};
 pub use faults::fault;
 use std::borrow::Cow;
@@ -403,7 +403,7 @@ pub fn config_error(error: &ConfigError) -> String {
         }
         "axes.quick_stop_rad_s2" => "the axis must stop from its highest speed before its brake closes; ",
         "axes.alias" | "axes.switch" | "axes.serial" => "another axis expects the same drive; ",
-        "motion.resonance_hz" if error.value < error.high => {
+        "motion.resonance_hz" if error.value < error.low && error.low > RESONANCE_HZ[0] => {
             "the input shaper leads the tool farther from its line at a lower frequency: a larger tolerance_mm or a lower \
              acceleration_mm_s2 allows it; "
         }

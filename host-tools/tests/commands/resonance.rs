@@ -51,7 +51,7 @@ fn a_pen_that_swings_draws_within_the_tolerance_with_an_input_shaper_and_not_wit
         // No machine has a tolerance of its own.
         let tolerance_mm = Config::default().motion.tolerance_mm;
         assert!(!machine.text.contains("\ntolerance_mm"), "{}", machine.name);
-        for (shaper, gentle, most) in [("zv", 1.0, 0.3), ("zvd", 0.25, 0.6)] {
+        for (shaper, gentle, most) in [("zv", 1.0, 0.3), ("zvd", 0.2, 0.6)] {
             let usual = acceleration_of(machine.text);
             let acceleration = gentle * usual;
             // Just above the lowest that the tolerance allows.

@@ -279,3 +279,74 @@ fn a_shaped_lift_passes_neither_of_its_ends() {
         assert!(moves > 100, "{shaper:?} lifts");
     }
 }
+
+/// Waves whose frequency is near the resonance: the planner's fastest way along them asks most of the copies.
+#[test]
+fn a_wavy_line_near_the_resonance_stays_within_the_tolerance() {
+    let mut worst = [0.0_f64; 2];
+    for (kind, shaper) in [InputShaper::Zv, InputShaper::Zvd].into_iter().enumerate() {
+        for seed in 1..=60 {
+            let mut random = Random::new(seed);
+            let mut settings = with(&Settings::usual(Kind::Gantry.geometry()), shaper);
+            let motion = &mut settings.motion;
+            motion.acceleration_mm_s2 = libm::pow(10.0, random.between(3.0, 4.2));
+            motion.tolerance_mm = libm::pow(10.0, random.between(-1.7, -0.7));
+            motion.jerk_window_ms = [0, 4][random.below(2)];
+            motion.speed_mm_s = random.between(50.0, 400.0);
+            motion.resonance_hz = resonance_min_hz(motion);
+            if settings.check().is_err() {
+                continue;
+            }
+            let motion = &settings.motion;
+            let rate = TAU * motion.resonance_hz;
+            let wave_mm = motion.speed_mm_s / motion.resonance_hz / random.between(0.8, 1.1);
+            let height_mm = motion.acceleration_mm_s2 / (rate * rate) * random.between(0.5, 2.0);
+            let ([x, y], z) = (settings.paper.centre_mm, settings.paper.pen_down_z_mm);
+            let path: Vec<Vertex> = (0..=480)
+                .map(|step| {
+                    let waves = f64::from(step) / 24.0;
+                    let along = (waves - 10.0) * wave_mm;
+                    vertex([x + along, y + height_mm * libm::sin(TAU * waves), z], Pen::Down, 0)
+                })
+                .collect();
+            let run = whole(&settings, &path);
+            let off = off_line(&run, &swung(&run, motion.resonance_hz, motion.resonance_damping));
+            let part = off / motion.tolerance_mm;
+            assert!(part <= 1.0, "{shaper:?}, seed {seed}: {part} of the tolerance");
+            worst[kind] = worst[kind].max(part);
+        }
+    }
+    println!("parts of the tolerance with zv and zvd: {worst:.3?}");
+}
+
+#[test]
+fn dots_and_strokes_reach_the_paper() {
+    for shaper in [InputShaper::Zv, InputShaper::Zvd] {
+        let mut settings = with(&Settings::usual(Kind::Gantry.geometry()), shaper);
+        settings.motion.tolerance_mm = 0.3;
+        settings.motion.resonance_hz = resonance_min_hz(&settings.motion);
+        assert_eq!(settings.check(), Ok(()));
+        let ([x, y], down) = (settings.paper.centre_mm, settings.paper.pen_down_z_mm);
+        let up = down + settings.paper.pen_lift_mm;
+        let mut path = Vec::new();
+        let ends = [[0.0, 0.0], [20.0, 0.0], [20.0, 0.3], [40.0, 10.0]];
+        for (stroke, [along, across]) in ends.into_iter().enumerate() {
+            let at = |z| [x + along, y + across, z];
+            let stroke = stroke as u32;
+            path.push(vertex(at(up), Pen::Up, stroke));
+            path.push(vertex(at(down), Pen::Up, stroke));
+            path.push(vertex([x + along + 0.01, y + across, down], Pen::Down, stroke));
+            path.push(vertex([x + along + 0.01, y + across, up], Pen::Up, stroke));
+        }
+        let run = whole(&settings, &path);
+        let kinematics = Kinematics::new(&settings.geometry).unwrap();
+        for [along, across] in ends {
+            let near = run.setpoints.iter().filter(|setpoint| {
+                let at = Vector::from(kinematics.forward(&JointAngles(setpoint.position_rad)).unwrap());
+                let off = libm::hypot(at[0] - x - along, at[1] - y - across);
+                off < 0.05 && at[2] < down + 1.0e-3
+            });
+            assert!(near.count() > 2, "{shaper:?}: no dot at {along}, {across} mm");
+        }
+    }
+}

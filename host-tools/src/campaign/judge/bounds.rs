@@ -66,13 +66,14 @@ pub(in super::super) fn ink_limit_mm(config: &Config) -> f64 {
     config.motion.tolerance_mm + shaper_mm(&config.motion) + following_mm(config) + missing_mm
 }
 
-/// Periods of the resonance over which an input shaper spreads each setpoint, with room for the damping that it may have.
-fn shaper_periods(motion: &MotionLimits) -> f64 {
-    match motion.input_shaper {
-        InputShaper::None => 0.0,
+/// Time over which an input shaper spreads each setpoint, ms, with room for the damping that the resonance may have.
+fn shaper_ms(motion: &MotionLimits) -> u32 {
+    let periods = match motion.input_shaper {
+        InputShaper::None => return 0,
         InputShaper::Zv => 0.55,
         InputShaper::Zvd => 2.2,
-    }
+    };
+    (periods * 1e3 / motion.resonance_hz).ceil() as u32 + 2
 }
 
 /// How far from its line an input shaper may lead the setpoints of a tool that does not swing, mm: half of the variance of its
@@ -173,10 +174,10 @@ pub(super) fn cell(config: &Config) -> monitor::Cell {
         tool_acceleration_mm_s2: motion.acceleration_mm_s2,
         pen_speed_mm_s: pen_speed_mm_s(config),
         pen_acceleration_mm_s2: motion.pen_acceleration_mm_s2,
-        pen_dwell_ms: motion.pen_dwell_ms.into(),
+        pen_dwell_ms: shaper_ms(motion).max(motion.pen_dwell_ms.into()),
         tolerance_mm: motion.tolerance_mm + shaper_mm(motion),
         travel_tolerance_mm: motion.travel_tolerance_mm + shaper_mm(motion),
-        shaper_ms: (shaper_periods(motion) * 1e3 / motion.resonance_hz).ceil() as u32 + 1,
+        shaper_ms: shaper_ms(motion),
         dead_man_ms: config.bus.dead_man_ms.into(),
         blind_ms: config.bus.blind_max_ms.into(),
         watchdog_ms: config.bus.watchdog_ms.into(),
