@@ -18,11 +18,11 @@ fn drawn(machine: &str, motion: &str, hz: f64) -> Value {
     folder.file("corners.svg", CORNERS);
     folder.file(
         "robot.toml",
-        &machine.replacen("[motion]\n", &format!("[motion]\n{motion}"), 1),
+        machine.replacen("[motion]\n", &format!("[motion]\n{motion}"), 1),
     );
     folder.file(
         "cell.toml",
-        &format!("[structural_mode]\nxy_hz = {hz:.1}\nz_hz = 0.0\ndamping = 0.03\n"),
+        format!("[structural_mode]\nxy_hz = {hz:.1}\nz_hz = 0.0\ndamping = 0.03\n"),
     );
     let words = "simulate corners.svg --config robot.toml --cell cell.toml --out out";
     let (status, _, stderr) = run(etherpen(&folder).args(words.split(' ')));
