@@ -10,13 +10,13 @@
 //! a `zvd` input shaper may pass them by a part of its deviation. It stays within the tolerance of its legs and the deviation
 //! of the input shaper, and the checked points keep that margin from the limits of the joints.
 
-use super::averaging::shaper_deviation_mm;
 use super::heading::Winding;
 use super::pen_lift::PenLift;
 use super::work_area::{Outside, WorkArea};
 use super::{Pen, Refusal, RefusalReason, Vertex, jog};
 use crate::robots::vector::{Vector, add_scaled, length, subtract};
 use crate::robots::{GeometryError, JointAngles, OtherSide, Position};
+use crate::settings::averaging::shaper_deviation_mm;
 use crate::settings::{MotionLimits, Orientation, Plane, Settings};
 
 /// Distance between checked points on a leg, mm.

@@ -1,10 +1,10 @@
 //! A tapped delay line: sums the copies of the path's points that an input shaper asks for.
 
-use super::averaging::TICK_S;
-use super::input_shaper::{COPIES, Copies};
 use super::shaping::Label;
 use crate::robots::vector::Vector;
 use crate::settings::MotionLimits;
+use crate::settings::TICK_S;
+use crate::settings::input_shaper::{COPIES, Copies};
 
 /// A copy that does not fall on a millisecond is split between the two beside it.
 const TAPS: usize = 2 * COPIES;

@@ -5,13 +5,13 @@
 //! the robot is outside already and moves inwards. When the command is not repeated within the dead-man time, the
 //! wanted velocity becomes zero. A jog whose direction is blocked is refused at the start.
 
-use super::averaging::TICK_S;
 use super::delay_line::PathSample;
 use super::limits::Limits;
 use super::scan::Row;
 use super::shaping::Label;
 use super::work_area::{Outside, WorkArea};
 use crate::robots::vector::{Vector, add_scaled, length, scale, subtract};
+use crate::settings::TICK_S;
 
 /// Fastest jog, mm/s.
 const SPEED_MAX_MM_S: f64 = 250.0;

@@ -7,18 +7,17 @@
 //! 1. `bounds`, `ring`, `committed`, `work_volume`: bounds of a value; a ring buffer; the executed motion for other programs;
 //!    the space of a tool
 //! 2. `robots`: kinds of robots and their kinematics
-//! 3. `settings`, `curve`: settings of motion; lines and blends
-//! 4. `input_shaper`: copies that keep a resonance quiet
-//! 5. `averaging`: moving average
-//! 6. `limits`, `work_area`, `shaping`: limits along a path; the space that a robot may use; the polyline with rounded
+//! 3. `settings`, `curve`: settings of motion, with the shares of the tolerance that the moving average and the input shaper
+//!    take; lines and blends
+//! 4. `limits`, `work_area`, `shaping`: limits along a path; the space that a robot may use; the polyline with rounded
 //!    corners
-//! 7. `delay_line`: sums those copies
-//! 8. `scan`, `micro_interpolator`, `heading`, `pen_lift`: the fastest speed over a grid; 1 ms setpoints; angle of the fourth
+//! 5. `delay_line`: sums the copies of an input shaper
+//! 6. `scan`, `micro_interpolator`, `heading`, `pen_lift`: the fastest speed over a grid; 1 ms setpoints; angle of the fourth
 //!    axis; where the pen is lifted
-//! 9. `grid`, `progress`, `jog`, `straight`: points of a path; motions without a path
-//! 10. `stretches`, `admission`, `outline`: parts of a plan; checks of vertices; the shaped path for other programs
-//! 11. `plan`, `merging`: speeds along the known path, down to rest at its end; vertices denser than the tolerance
-//! 12. `trajectory`: the trajectory stage with its commands
+//! 7. `grid`, `progress`, `jog`, `straight`: points of a path; motions without a path
+//! 8. `stretches`, `admission`, `outline`: parts of a plan; checks of vertices; the shaped path for other programs
+//! 9. `plan`, `merging`: speeds along the known path, down to rest at its end; vertices denser than the tolerance
+//! 10. `trajectory`: the trajectory stage with its commands
 #![no_std]
 #![forbid(unsafe_code)]
 
@@ -26,7 +25,6 @@
 extern crate std;
 
 mod admission;
-mod averaging;
 mod bounds;
 #[cfg(test)]
 mod checks;
@@ -35,7 +33,6 @@ mod curve;
 mod delay_line;
 mod grid;
 mod heading;
-mod input_shaper;
 mod jog;
 mod limits;
 mod merging;
@@ -58,11 +55,11 @@ mod work_area;
 mod work_volume;
 
 pub use admission::{Admission, LEG_CHECK_MM, LEG_MIN_MM};
-pub use averaging::{effective_jerk_window_ms, resonance_min_hz, shaper_deviation_mm};
 pub use committed::{Observer, Passage};
-pub use input_shaper::RESONANCE_HZ;
 pub use outline::{Outline, Section, Station};
 pub use settings::Settings;
+pub use settings::averaging::{effective_jerk_window_ms, resonance_min_hz, shaper_deviation_mm};
+pub use settings::input_shaper::RESONANCE_HZ;
 pub use trajectory::{QUEUE_VERTICES, Trajectory};
 pub use work_area::{Outside, WorkArea};
 

@@ -5,9 +5,9 @@
 //! The scan uses slightly less than the configured limits, because its bounds are exact only at the points of the grid
 //! and in the middle of its curved intervals.
 
-use super::input_shaper::Copies;
 use crate::robots::{JointRows, MAIN_AXES};
 use crate::settings::Settings;
+use crate::settings::input_shaper::Copies;
 
 /// Part of the acceleration limits that the scan uses.
 const ACCELERATION_PART: f64 = 0.9998;

@@ -21,9 +21,9 @@
 //! within e of each other in the order of travel (their Frechet distance), in both directions.
 
 use super::admission::LEG_MIN_MM;
-use super::averaging::tolerances;
 use super::shaping::Node;
 use crate::robots::vector::{Vector, add, length, scale, subtract};
+use crate::settings::averaging::tolerances;
 use crate::settings::{Orientation, Settings};
 
 /// Bound on the distance across the leg, as a part of the share.

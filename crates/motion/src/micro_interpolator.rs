@@ -8,13 +8,13 @@
 //! Invariant: velocities are the exact differences of the averaged positions. The sums are integers, so they do not
 //! drift however long the program runs.
 
-use super::averaging::TICK_S;
 use super::delay_line::{DelayLine, PathSample};
 use super::shaping::Label;
 use super::{PERIOD_MS, Pen, Setpoint};
 use crate::robots::vector::{Vector, root};
 use crate::robots::{AXES, JointAngles, Kinematics, MAIN_AXES};
 use crate::settings::MotionLimits;
+use crate::settings::TICK_S;
 
 /// Longest moving average, ms; the bound of `motion.jerk_window_ms`.
 pub(crate) const WINDOW_MAX: usize = 32;

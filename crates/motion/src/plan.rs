@@ -14,7 +14,6 @@ use super::committed::{Observer, Passage};
 use super::delay_line::PathSample;
 use super::grid::{ARRIVED_MM, GridPoint, Span};
 use super::heading::{Course, NONE_RAD, Pause, Turning};
-use super::input_shaper::pen_dwell_s;
 use super::limits::Limits;
 use super::micro_interpolator::Stretch;
 use super::ring::Ring;
@@ -23,6 +22,7 @@ use super::shaping::{PIECES_PER_LEG, Piece};
 use super::stretches::{STRETCH_MAX_S, braking, going, over_the_middle};
 use crate::robots::Kinematics;
 use crate::robots::vector::length;
+use crate::settings::input_shaper::pen_dwell_s;
 use crate::settings::{MotionLimits, Orientation};
 
 /// Points of the grid: the look-ahead.

@@ -8,12 +8,12 @@
 //! Invariant: position, direction and curvature are continuous everywhere but at exact stops.
 
 use super::Pen;
-use super::averaging::{Tolerances, tolerances};
 use super::curve::{self, BlendShape, Curve};
-use super::input_shaper::pen_dwell_s;
 use super::ring::Ring;
 use crate::robots::vector::{Vector, add, cross, dot, length, scale, subtract};
 use crate::settings::Settings;
+use crate::settings::averaging::{Tolerances, tolerances};
+use crate::settings::input_shaper::pen_dwell_s;
 use heapless::Vec;
 
 /// Vertices that wait to be shaped.

@@ -5,7 +5,6 @@
 //! limit covers the acceleration along the line and the other half its curvature in joint space, at every checked
 //! point. That is slower than the plan's scan, but needs no look-ahead and can be stopped at any time.
 
-use super::averaging::TICK_S;
 use super::delay_line::PathSample;
 use super::limits::Limits;
 use super::scan::Row;
@@ -13,6 +12,7 @@ use super::shaping::Label;
 use crate::Pen;
 use crate::robots::Kinematics;
 use crate::robots::vector::{Vector, add_scaled, length, root, scale, subtract};
+use crate::settings::TICK_S;
 
 /// Points of the line at which the limits are evaluated.
 const CHECKS: u32 = 33;

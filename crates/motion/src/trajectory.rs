@@ -8,7 +8,6 @@
 //! command leads from one rest to the next within the limits.
 
 use super::admission::{LEG_MIN_MM, check_way_in};
-use super::averaging::{TICK_S, averaging};
 use super::committed::Observer;
 use super::delay_line::PathSample;
 use super::jog::{self, Jog};
@@ -26,6 +25,7 @@ use super::{MotionCommand, MotionRefusal, MotionState, PERIOD_MS, Pen, Refusal, 
 use crate::robots::vector::{Vector, length, subtract};
 use crate::robots::{GeometryError, JointAngles, Position};
 use crate::settings::Settings;
+use crate::settings::{TICK_S, averaging::averaging};
 
 /// Most vertices queued for shaping.
 pub const QUEUE_VERTICES: usize = QUEUE;

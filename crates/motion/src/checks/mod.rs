@@ -20,12 +20,12 @@ mod vibration;
 
 extern crate std;
 
-use super::averaging::TICK_S;
 use super::*;
 use crate::random::Random;
 use crate::robots::vector::{Vector, add_scaled, dot, length, subtract};
 use crate::robots::{JointAngles, Kind, Kinematics};
 use crate::settings::Settings;
+use crate::settings::TICK_S;
 use core::f64::consts::{PI, TAU};
 use std::vec::Vec;
 use std::{format, println};
@@ -191,7 +191,7 @@ impl Run {
                 "{name}: kind {kind} {value} over {limit} at {at} ms"
             );
         };
-        let window_ms = super::averaging::averaging(&self.settings.motion).0;
+        let window_ms = crate::settings::averaging::averaging(&self.settings.motion).0;
         let jerk_s = f64::from(window_ms) * TICK_S;
         let mut accelerations = [0.0; AXES];
         let mut before: Option<(Vector, Vector, Setpoint)> = None;

@@ -1,8 +1,8 @@
 //! Requirements on input shapers, judged by a tool that swings on a damped spring: the setpoints move its other end.
 
 use super::*;
-use crate::averaging::resonance_min_hz;
 use crate::settings::InputShaper;
+use crate::settings::averaging::resonance_min_hz;
 
 /// Steps of the swing in a millisecond.
 const STEPS: usize = 20;

@@ -2,10 +2,10 @@
 //!
 //! A bound that depends on another value expresses a relation between the two.
 
+use super::averaging::resonance_min_hz;
+use super::input_shaper::{DAMPING_MAX, RESONANCE_HZ};
 use super::{Paper, Settings, WorkVolume};
-use crate::averaging::resonance_min_hz;
 use crate::bounds::{Bound, Violation, bound, first_violation};
-use crate::input_shaper::{DAMPING_MAX, RESONANCE_HZ};
 use crate::robots::Geometry;
 
 /// Highest speed that a joint may be allowed, rad/s.

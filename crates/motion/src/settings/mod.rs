@@ -1,6 +1,8 @@
 //! Settings of motion: the robot's shape, its work area, the paper, and the limits of motion.
 
+pub(crate) mod averaging;
 mod bounds;
+pub(crate) mod input_shaper;
 
 pub use crate::bounds::{Bound, Violation, bound, first_violation};
 pub use crate::robots::Geometry;
@@ -8,6 +10,9 @@ pub use crate::work_volume::WorkVolume;
 
 use crate::robots::AXES;
 use serde::{Deserialize, Serialize};
+
+/// One millisecond, s.
+pub(crate) const TICK_S: f64 = 1.0e-3;
 
 /// Position of the paper, and heights of the pen.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]

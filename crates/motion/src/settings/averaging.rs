@@ -1,9 +1,8 @@
 //! Shares of the tolerance: the moving average and its longest length, the input shaper and its lowest frequency, merged
 //! vertices, and what remains for shaping.
 
-use crate::input_shaper::Copies;
-pub(crate) use crate::input_shaper::TICK_S;
-use crate::settings::{MotionLimits, Settings};
+use super::input_shaper::Copies;
+use super::{MotionLimits, Settings, TICK_S};
 
 /// Largest part of the tolerance that the moving average may use.
 const AVERAGE_PART_MAX: f64 = 0.5;
@@ -26,7 +25,7 @@ pub(crate) struct Tolerances {
 }
 
 /// Tolerances for shaping: the configured ones less the parts used by the moving average and the input shaper.
-pub(super) fn tolerances(settings: &Settings) -> Tolerances {
+pub(crate) fn tolerances(settings: &Settings) -> Tolerances {
     let motion = &settings.motion;
     let (_, average_mm) = averaging(motion);
     let copies_mm = Copies::new(motion).map_or(0.0, |copies| copies.at_tool_mm(motion.acceleration_mm_s2));
@@ -62,7 +61,7 @@ pub fn shaper_deviation_mm(motion: &MotionLimits) -> f64 {
 
 /// Length of the moving average, ms, and the deviation that it adds, mm: A T^2 / 24, plus A t^2 / 12 for setpoints the
 /// time t apart, which cut corners by A t^2 / 8 but average over t less.
-pub(super) fn averaging(motion: &MotionLimits) -> (u16, f64) {
+pub(crate) fn averaging(motion: &MotionLimits) -> (u16, f64) {
     let deviation = |window_ms: u16| {
         let window_s = f64::from(window_ms) * TICK_S;
         motion.acceleration_mm_s2 * (window_s * window_s + 2.0 * TICK_S * TICK_S) / 24.0

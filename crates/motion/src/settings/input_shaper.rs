@@ -13,11 +13,9 @@
 //!
 //! The pen rests on the paper until all copies have come, or dots and the ends of strokes would be drawn above it.
 
-use crate::settings::{InputShaper, MotionLimits};
+use super::{InputShaper, MotionLimits, TICK_S};
 use core::f64::consts::{PI, TAU};
 
-/// One millisecond, s.
-pub(crate) const TICK_S: f64 = 1.0e-3;
 /// Lowest and highest frequency of a resonance, Hz.
 pub const RESONANCE_HZ: [f64; 2] = [20.0, 200.0];
 /// Highest damping ratio of a resonance.
