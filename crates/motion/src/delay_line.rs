@@ -1,5 +1,6 @@
 //! A tapped delay line: sums the copies of the path's points that an input shaper asks for.
 
+use super::Pen;
 use super::shaping::Label;
 use crate::robots::vector::Vector;
 use crate::settings::MotionLimits;
@@ -51,8 +52,11 @@ pub(crate) struct DelayLine {
     used: usize,
     /// Milliseconds from the first copy to the last one.
     length: usize,
-    /// Mean delay of the copies, ms; labels come so much later.
+    /// Mean delay of the copies, ms; vertices are reached so much later.
     lag: usize,
+    /// Milliseconds until the last copy of the stroke has come, and the stroke's number.
+    drawn_ms: usize,
+    drawn: u32,
     kept: [PathSample; KEPT],
     newest: usize,
     /// Milliseconds until the sum is at rest once the points are.
@@ -67,6 +71,8 @@ impl DelayLine {
             used: 0,
             length: 0,
             lag: 0,
+            drawn_ms: 0,
+            drawn: 0,
             kept: [PathSample::NONE; KEPT],
             newest: 0,
             settling_ms: 0,
@@ -109,7 +115,7 @@ impl DelayLine {
 
     /// The sum is at rest; the points are those of [`Self::fill`], which follows unless nothing may move.
     pub(crate) fn stand(&mut self) {
-        self.settling_ms = 0;
+        (self.settling_ms, self.drawn_ms) = (0, 0);
     }
 
     /// Whether the sum is at rest.
@@ -123,6 +129,7 @@ impl DelayLine {
             return *sample;
         }
         let before = self.kept[self.newest];
+        self.draws(sample);
         self.settling_ms = if sample.point == before.point && sample.heading == before.heading {
             self.settling_ms.saturating_sub(1)
         } else {
@@ -130,10 +137,16 @@ impl DelayLine {
         };
         self.newest = (self.newest + 1) % KEPT;
         self.kept[self.newest] = *sample;
-        let mut sum = PathSample {
-            label: self.back(self.lag).label,
-            ..*sample
+        let late = self.back(self.lag).label;
+        let label = match self.drawn_ms {
+            0 => Label { pen: Pen::Up, ..late },
+            _ => Label {
+                stroke: self.drawn,
+                pen: Pen::Down,
+                ..late
+            },
         };
+        let mut sum = PathSample { label, ..*sample };
         for tap in self.taps.iter().take(self.used) {
             let copy = self.back(tap.late);
             // The differences are zero at rest, where the sum is exactly the point.
@@ -144,6 +157,17 @@ impl DelayLine {
             sum.heading += tap.plain * (copy.heading - sample.heading);
         }
         sum
+    }
+
+    /// Keeps the pen down from the first copy of a stroke to the last one. Copies that stand together have ended it.
+    fn draws(&mut self, sample: &PathSample) {
+        if sample.label.pen == Pen::Down {
+            (self.drawn_ms, self.drawn) = (self.length, sample.label.stroke);
+        } else if self.settling_ms == 0 {
+            self.drawn_ms = 0;
+        } else {
+            self.drawn_ms = self.drawn_ms.saturating_sub(1);
+        }
     }
 
     fn back(&self, late: usize) -> &PathSample {

@@ -11,9 +11,9 @@ use super::Pen;
 use super::curve::{self, BlendShape, Curve};
 use super::ring::Ring;
 use crate::robots::vector::{Vector, add, cross, dot, length, scale, subtract};
-use crate::settings::Settings;
 use crate::settings::averaging::{Tolerances, tolerances};
 use crate::settings::input_shaper::pen_dwell_s;
+use crate::settings::{InputShaper, Settings};
 use heapless::Vec;
 
 /// Vertices that wait to be shaped.
@@ -198,6 +198,8 @@ pub(crate) struct Shaper {
     tolerances: Tolerances,
     /// Whether the pen dwells where it meets the paper and where it leaves the paper.
     dwells: bool,
+    /// Whether an input shaper sums copies of the setpoints.
+    is_shaped: bool,
     /// Whether the pen has vertical limits of its own.
     pen_limited: bool,
     /// Whether all curves need more intervals.
@@ -216,6 +218,7 @@ impl Shaper {
                 merging_mm: 0.0,
             },
             dwells: false,
+            is_shaped: false,
             pen_limited: false,
             fine: false,
             node: Node::NONE,
@@ -228,6 +231,7 @@ impl Shaper {
         self.tolerances = tolerances(settings);
         self.fine = settings.geometry.needs_fine_curves();
         self.dwells = pen_dwell_s(motion) > 0.0;
+        self.is_shaped = motion.input_shaper != InputShaper::None;
         self.pen_limited = motion.pen_speed_mm_s > 0.0 || motion.pen_acceleration_mm_s2 > 0.0;
     }
 
@@ -423,7 +427,10 @@ impl Shaper {
             let knot = control.and_then(|next| late(before, &end.point, &next));
             last.vertex_after = if knot.is_some() { label.vertex } else { end.count };
             last.stop_after = matches!(passage, Passage::Stop);
-            last.dwell_after = last.stop_after && self.dwells && after.is_some_and(|after| after.pen != end.pen);
+            // A dot may be no more than the way down and up again.
+            let touches = self.is_shaped && direction_after.is_some_and(|after| direction[2] < 0.0 && after[2] > 0.0);
+            let rests = |after: &Node| after.pen != end.pen || touches;
+            last.dwell_after = last.stop_after && self.dwells && after.is_some_and(rests);
         }
         pieces
     }

@@ -25,6 +25,7 @@ use super::{MotionCommand, MotionRefusal, MotionState, PERIOD_MS, Pen, Refusal, 
 use crate::robots::vector::{Vector, length, subtract};
 use crate::robots::{GeometryError, JointAngles, Position};
 use crate::settings::Settings;
+use crate::settings::input_shaper::shaper_rest_ms;
 use crate::settings::{TICK_S, averaging::averaging};
 
 /// Most vertices queued for shaping.
@@ -75,6 +76,9 @@ struct Motion {
     pen: PenLift,
     starve_dwell_ms: u16,
     dead_man_ms: u16,
+    /// Rest after each motion that ends, until all copies of an input shaper have come, ms, and what is left of it.
+    rest_ms: u16,
+    resting_ms: u16,
     queue: Ring<Node, QUEUE>,
     /// Stands before the queue.
     merger: Merger,
@@ -111,6 +115,8 @@ impl Trajectory {
                 pen: PenLift::NONE,
                 starve_dwell_ms: 0,
                 dead_man_ms: 0,
+                rest_ms: 0,
+                resting_ms: 0,
                 queue: Ring::new(Node::NONE),
                 merger: Merger::new(),
                 shaper: Shaper::new(),
@@ -159,6 +165,8 @@ impl Trajectory {
         motion.pen = PenLift::new(settings);
         motion.starve_dwell_ms = settings.motion.starve_dwell_ms;
         motion.dead_man_ms = settings.dead_man_ms;
+        motion.rest_ms = shaper_rest_ms(&settings.motion);
+        motion.resting_ms = 0;
         motion.merger.configure(settings);
         motion.shaper.configure(settings);
         motion.plan.reconfigure(*area.kinematics(), limits, &settings.motion);
@@ -185,6 +193,7 @@ impl Trajectory {
         if !pose.0.iter().all(|angle| angle.is_finite()) {
             return false;
         }
+        self.motion.resting_ms = 0;
         self.interpolator.place(&pose);
         let kinematics = self.motion.area.kinematics();
         let Ok(position) = kinematics.forward(&pose) else {
@@ -694,6 +703,10 @@ impl Motion {
 
     fn next_millisecond(&mut self, observer: &mut impl Observer) -> PathSample {
         observer.millisecond();
+        if self.resting_ms > 0 {
+            self.resting_ms -= 1;
+            return self.here;
+        }
         let (sample, done) = match &mut self.activity {
             Activity::Rest | Activity::Parked { .. } => (self.here, false),
             Activity::Path => (self.follow(observer), false),
@@ -708,6 +721,7 @@ impl Motion {
         };
         self.here = sample;
         if done {
+            self.resting_ms = self.rest_ms;
             match self.activity {
                 Activity::Brake(then) => self.leave_path(then),
                 Activity::Lift(_, then) => self.park(then, true),

@@ -11,7 +11,7 @@ use crate::output_file::{refuse_input, unwritable};
 use crate::planning::{CertificateReport, Findings, Table, analyse, certify};
 use crate::terminal::counted;
 use etherpen::config::{Config, InputShaper, MotionLimits, Orientation};
-use etherpen::motion::{effective_jerk_window_ms, resonance_min_hz};
+use etherpen::motion::{RESONANCE_HZ, effective_jerk_window_ms, resonance_min_hz};
 use etherpen::robots::AXES;
 use serde::Serialize;
 use serde_json::Value;
@@ -170,6 +170,13 @@ fn check_shaper(config: &Config, arguments: &Arguments) -> Result<(), ProgramErr
     let lowest_hz = resonance_min_hz(motion);
     if motion.resonance_hz >= lowest_hz {
         return Ok(());
+    }
+    if lowest_hz > RESONANCE_HZ[1] {
+        return usage(format!(
+            "at {} mm/s2 and a tolerance of {} mm the input shaper keeps no resonance quiet; give a larger --tolerance or a lower \
+             --acceleration",
+            motion.acceleration_mm_s2, motion.tolerance_mm
+        ));
     }
     usage(format!(
         "at {} mm/s2 and a tolerance of {} mm the input shaper keeps no resonance below {lowest_hz:.1} Hz quiet; motion.resonance_hz \
@@ -356,13 +363,13 @@ fn shown(answer: &Answer, axes: &[AxisView]) -> String {
         "deviation, pen down",
         "mm",
         findings.deviation_drawn_max_mm,
-        Some(limits.tolerance_mm),
+        Some(limits.tolerance_mm + limits.shaper_deviation_mm),
     );
     line(
         "deviation, all",
         "mm",
         findings.deviation_max_mm,
-        Some(limits.travel_tolerance_mm),
+        Some(limits.travel_tolerance_mm + limits.shaper_deviation_mm),
     );
     text + &violations(findings) + &answer.certificate.as_ref().map_or(String::new(), proved)
 }

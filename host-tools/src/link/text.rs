@@ -403,6 +403,11 @@ pub fn config_error(error: &ConfigError) -> String {
         }
         "axes.quick_stop_rad_s2" => "the axis must stop from its highest speed before its brake closes; ",
         "axes.alias" | "axes.switch" | "axes.serial" => "another axis expects the same drive; ",
+        "motion.resonance_hz" if error.low > error.high => {
+            return "motion.resonance_hz: at this acceleration_mm_s2 the input shaper can keep no frequency quiet within tolerance_mm; a \
+                    larger tolerance_mm or a lower acceleration_mm_s2 allows it; correct it in etherpen.toml"
+                .to_string();
+        }
         "motion.resonance_hz" if error.value < error.low && error.low > RESONANCE_HZ[0] => {
             "the input shaper leads the tool farther from its line at a lower frequency: a larger tolerance_mm or a lower \
              acceleration_mm_s2 allows it; "

@@ -4,7 +4,7 @@ use super::super::plan::{GROWTH, POINTS};
 use super::*;
 use crate::WorkArea;
 use crate::robots::{Geometry, LinearDeltaGeometry, ScaraGeometry};
-use crate::settings::Orientation;
+use crate::settings::{InputShaper, Orientation};
 
 /// Random limits, tolerances and options.
 pub(super) fn varied(random: &mut Random, bench: &Bench) -> Settings {
@@ -161,8 +161,10 @@ fn random_paths_on_a_linear_delta_keep_all_limits_whole_and_held() {
 }
 
 /// Random vertices near all borders of the work area, of which those that are admitted are drawn.
-fn check_inside(geometry: Geometry) {
+fn check_inside(geometry: Geometry, shaper: InputShaper) {
     let mut settings = Settings::usual(geometry);
+    settings.motion.input_shaper = shaper;
+    settings.motion.resonance_hz = 30.0;
     let volume = settings.work_area;
     settings.paper.pressing_depth_mm = settings.paper.pen_down_z_mm - volume.z_low_mm;
     settings.motion.travel_tolerance_mm = 2.0;
@@ -206,15 +208,20 @@ fn check_inside(geometry: Geometry) {
 #[test]
 fn an_admitted_path_stays_inside_the_work_area_with_its_curve() {
     for kind in Kind::ALL {
-        check_inside(kind.geometry());
+        check_inside(kind.geometry(), InputShaper::None);
+        check_inside(kind.geometry(), InputShaper::Zv);
     }
-    check_inside(Geometry::Scara(ScaraGeometry {
+    let scara = Geometry::Scara(ScaraGeometry {
         elbow: -1,
         shoulder_range_rad: [0.0, 5.9],
         ..ScaraGeometry::default()
-    }));
-    check_inside(Geometry::LinearDelta(LinearDeltaGeometry {
+    });
+    let linear_delta = Geometry::LinearDelta(LinearDeltaGeometry {
         carriage_range_mm: [200.0, 400.0],
         ..LinearDeltaGeometry::default()
-    }));
+    });
+    for geometry in [scara, linear_delta] {
+        check_inside(geometry, InputShaper::None);
+        check_inside(geometry, InputShaper::Zv);
+    }
 }

@@ -92,10 +92,11 @@ fn with(settings: &Settings, shaper: InputShaper) -> Settings {
     settings
 }
 
-/// A gantry whose tool accelerates with 10 m/s2.
+/// A gantry with a resonance of 45 Hz whose tool accelerates with 9.8 m/s2.
 fn gantry() -> Settings {
     let mut settings = Settings::usual(Kind::Gantry.geometry());
-    settings.motion.acceleration_mm_s2 = 10_000.0;
+    settings.motion.resonance_hz = 45.0;
+    settings.motion.acceleration_mm_s2 = 9_800.0;
     settings.motion.joint_acceleration_rad_s2 = [2_000.0; AXES];
     settings.motion.joint_speed_rad_s = [50.0; AXES];
     settings
@@ -128,13 +129,15 @@ fn corners(settings: &Settings) -> Vec<Vertex> {
     points.map(at).collect()
 }
 
-/// A resonance of 45 Hz, 3 % damping, 10 m/s2, tolerance 0.05 mm: how far the tool is from its line, and how much it rings after
+/// A resonance of 45 Hz, 3 % damping, 9.8 m/s2, tolerance 0.05 mm: how far the tool is from its line, and how much it rings after
 /// the end, with the frequency off by up to a tenth.
 #[test]
 fn a_resonance_of_45_hz_rings_at_most_a_tenth() {
     const PARTS: [f64; 5] = [0.9, 0.95, 1.0, 1.05, 1.1];
     let judged = |shaper| {
         let settings = with(&gantry(), shaper);
+        // Zvd would be refused with these values: on other paths the tool is farther off.
+        assert_eq!(settings.check().is_err(), shaper == InputShaper::Zvd);
         let run = whole(&settings, &corners(&settings));
         run.check_limits(&format!("{shaper:?}"));
         let off = PARTS.map(|part| off_line(&run, &swung(&run, 45.0 * part, 0.03)));
@@ -146,6 +149,7 @@ fn a_resonance_of_45_hz_rings_at_most_a_tenth() {
         (off, rings)
     };
     let (unshaped, ringing_unshaped) = judged(InputShaper::None);
+    let most_ringing = ringing_unshaped.into_iter().fold(0.0, f64::max);
     for (shaper, known) in [(InputShaper::Zv, 1..4), (InputShaper::Zvd, 0..5)] {
         let (off, rings) = judged(shaper);
         let beyond = |values: [f64; 5]| values.map(|mm| (mm - gantry().motion.tolerance_mm).max(0.0));
@@ -155,7 +159,7 @@ fn a_resonance_of_45_hz_rings_at_most_a_tenth() {
                 "{shaper:?} at {}",
                 PARTS[at]
             );
-            assert!(rings[at] <= 0.1 * ringing_unshaped[at], "{shaper:?} at {}", PARTS[at]);
+            assert!(rings[at] <= 0.1 * most_ringing, "{shaper:?} at {}", PARTS[at]);
         }
     }
 }
@@ -214,19 +218,40 @@ fn the_tool_keeps_the_tolerance_if_its_resonance_is_as_stated() {
 fn copies_of_the_setpoints_keep_every_limit() {
     for kind in Kind::ALL {
         let bench = Bench::new(kind);
-        let mut worst = [0.0_f64; KINDS];
+        let (mut worst, mut judged) = ([0.0_f64; KINDS], 0);
         for seed in 1..=40 {
             let mut random = Random::new(seed);
             let Some(settings) = resonant(&mut random, &bench.settings) else {
                 continue;
             };
-            let run = Run::new(&settings, &bench.fitted(&random_path(&mut random, 2))).whole();
+            let path = bench.fitted(&random_path(&mut random, 2));
+            let mut run = Run::new(&settings, &path);
+            run.feed(usize::MAX);
+            run.command(MotionCommand::Start);
+            if seed % 2 == 0 {
+                held_and_resumed(&mut run, &mut random);
+            }
+            run.until(MotionState::Idle);
             let parts = run.check_limits(&format!("{kind:?}, seed {seed}"));
             for (worst, part) in worst.iter_mut().zip(parts) {
                 *worst = worst.max(part);
             }
+            judged += 1;
         }
         println!("{kind:?}: {worst:.4?}");
+        assert!(judged > 30, "{kind:?}: {judged}");
+    }
+}
+
+/// Runs for a while, holds, and resumes.
+fn held_and_resumed(run: &mut Run, random: &mut Random) {
+    for _ in 0..1 + random.below(30) {
+        run.feed(usize::MAX);
+        run.step();
+    }
+    if run.trajectory.command(MotionCommand::Hold).is_ok() {
+        run.until(MotionState::Held);
+        run.command(MotionCommand::Resume);
     }
 }
 
@@ -283,7 +308,7 @@ fn a_shaped_lift_passes_neither_of_its_ends() {
 /// Waves whose frequency is near the resonance: the planner's fastest way along them asks most of the copies.
 #[test]
 fn a_wavy_line_near_the_resonance_stays_within_the_tolerance() {
-    let mut worst = [0.0_f64; 2];
+    let (mut worst, mut judged) = ([0.0_f64; 2], 0);
     for (kind, shaper) in [InputShaper::Zv, InputShaper::Zvd].into_iter().enumerate() {
         for seed in 1..=60 {
             let mut random = Random::new(seed);
@@ -314,39 +339,98 @@ fn a_wavy_line_near_the_resonance_stays_within_the_tolerance() {
             let part = off / motion.tolerance_mm;
             assert!(part <= 1.0, "{shaper:?}, seed {seed}: {part} of the tolerance");
             worst[kind] = worst[kind].max(part);
+            judged += 1;
         }
     }
     println!("parts of the tolerance with zv and zvd: {worst:.3?}");
+    assert!(judged > 100, "{judged}");
+}
+
+/// A gantry with the lowest resonance that a large tolerance allows.
+fn slow_swing(shaper: InputShaper) -> Settings {
+    let mut settings = with(&gantry(), shaper);
+    settings.motion.tolerance_mm = 0.3;
+    settings.motion.resonance_hz = resonance_min_hz(&settings.motion);
+    assert_eq!(settings.check(), Ok(()));
+    settings
+}
+
+/// Largest distance of these places on the paper from the setpoints that touch it.
+fn unreached(run: &Run, places: &[[f64; 2]]) -> f64 {
+    let kinematics = Kinematics::new(&run.settings.geometry).unwrap();
+    let at = |setpoint: &Setpoint| Vector::from(kinematics.forward(&JointAngles(setpoint.position_rad)).unwrap());
+    let down = run.settings.paper.pen_down_z_mm;
+    let points: Vec<Vector> = run.setpoints.iter().map(at).collect();
+    let touching = || {
+        points
+            .windows(2)
+            .filter(|pair| pair.iter().all(|at| at[2] < down + 1.0e-3))
+    };
+    let off = |[x, y]: &[f64; 2]| {
+        let ways = touching().map(|pair| distance(&[*x, *y, down], &pair[0], &pair[1]));
+        ways.fold(f64::INFINITY, f64::min)
+    };
+    places.iter().map(off).fold(0.0, f64::max)
 }
 
 #[test]
 fn dots_and_strokes_reach_the_paper() {
     for shaper in [InputShaper::Zv, InputShaper::Zvd] {
-        let mut settings = with(&Settings::usual(Kind::Gantry.geometry()), shaper);
-        settings.motion.tolerance_mm = 0.3;
-        settings.motion.resonance_hz = resonance_min_hz(&settings.motion);
-        assert_eq!(settings.check(), Ok(()));
+        let settings = slow_swing(shaper);
         let ([x, y], down) = (settings.paper.centre_mm, settings.paper.pen_down_z_mm);
         let up = down + settings.paper.pen_lift_mm;
+        let ends = [[0.0, 0.0], [20.0, 0.0], [20.0, 0.3], [40.0, 10.0], [41.0, 10.0]]
+            .map(|[along, across]| [x + along, y + across]);
         let mut path = Vec::new();
-        let ends = [[0.0, 0.0], [20.0, 0.0], [20.0, 0.3], [40.0, 10.0]];
-        for (stroke, [along, across]) in ends.into_iter().enumerate() {
-            let at = |z| [x + along, y + across, z];
-            let stroke = stroke as u32;
-            path.push(vertex(at(up), Pen::Up, stroke));
-            path.push(vertex(at(down), Pen::Up, stroke));
-            path.push(vertex([x + along + 0.01, y + across, down], Pen::Down, stroke));
-            path.push(vertex([x + along + 0.01, y + across, up], Pen::Up, stroke));
+        for (stroke, [x, y]) in ends.into_iter().enumerate() {
+            let number = stroke as u32;
+            path.push(vertex([x, y, up], Pen::Up, number));
+            path.push(vertex([x, y, down], Pen::Up, number));
+            // A dot has no leg with the pen down.
+            if stroke % 2 == 0 {
+                path.push(vertex([x + 0.01, y, down], Pen::Down, number));
+                path.push(vertex([x + 0.01, y, up], Pen::Up, number));
+            } else {
+                path.push(vertex([x, y, up], Pen::Up, number));
+            }
         }
         let run = whole(&settings, &path);
-        let kinematics = Kinematics::new(&settings.geometry).unwrap();
-        for [along, across] in ends {
-            let near = run.setpoints.iter().filter(|setpoint| {
-                let at = Vector::from(kinematics.forward(&JointAngles(setpoint.position_rad)).unwrap());
-                let off = libm::hypot(at[0] - x - along, at[1] - y - across);
-                off < 0.05 && at[2] < down + 1.0e-3
-            });
-            assert!(near.count() > 2, "{shaper:?}: no dot at {along}, {across} mm");
+        let off = unreached(&run, &ends);
+        assert!(off < 1.0e-3, "{shaper:?}: a dot is missed by {off} mm");
+    }
+}
+
+#[test]
+fn a_line_has_no_gap_where_it_was_held_and_its_pen_is_told_to_draw_on_all_of_it() {
+    for shaper in [InputShaper::Zv, InputShaper::Zvd] {
+        let settings = slow_swing(shaper);
+        let ([x, y], down) = (settings.paper.centre_mm, settings.paper.pen_down_z_mm);
+        let up = down + settings.paper.pen_lift_mm;
+        let line: Vec<[f64; 2]> = (0..=400).map(|step| [x + 0.1 * f64::from(step) - 20.0, y]).collect();
+        let mut path = std::vec![vertex([x - 20.0, y, up], Pen::Up, 0)];
+        path.push(vertex([x - 20.0, y, down], Pen::Up, 0));
+        path.push(vertex([x + 20.0, y, down], Pen::Down, 0));
+        path.push(vertex([x + 20.0, y, up], Pen::Up, 0));
+        for periods in 1..60 {
+            let mut run = Run::new(&settings, &path);
+            run.feed(usize::MAX);
+            run.command(MotionCommand::Start);
+            for _ in 0..periods {
+                run.step();
+            }
+            if run.trajectory.command(MotionCommand::Hold).is_err() {
+                break;
+            }
+            run.until(MotionState::Held);
+            run.command(MotionCommand::Resume);
+            run.until(MotionState::Idle);
+            let name = format!("{shaper:?}, held after {periods} periods");
+            run.check_limits(&name);
+            let off = unreached(&run, &line);
+            assert!(off < 2.0e-2, "{name}: the line lacks a place by {off} mm");
+            run.setpoints.retain(|setpoint| setpoint.pen == Pen::Down);
+            let off = unreached(&run, &line);
+            assert!(off < 2.0e-2, "{name}: the pen is not told to draw by {off} mm");
         }
     }
 }

@@ -154,9 +154,14 @@ impl Copies {
     }
 }
 
+/// Rest until all copies have come, ms; 0 without an input shaper.
+pub(crate) fn shaper_rest_ms(motion: &MotionLimits) -> u16 {
+    Copies::new(motion).map_or(0, |copies| (copies.length_s() / TICK_S) as u16 + 2)
+}
+
 /// Time at rest where the pen meets the paper and where it leaves it, s: the configured one, at least that of all copies.
 pub(crate) fn pen_dwell_s(motion: &MotionLimits) -> f64 {
-    let copies_s = Copies::new(motion).map_or(0.0, |copies| copies.length_s() + TICK_S);
+    let copies_s = f64::from(shaper_rest_ms(motion)) * TICK_S;
     copies_s.max(f64::from(motion.pen_dwell_ms) * TICK_S)
 }
 

@@ -187,7 +187,8 @@ pub struct MotionLimits {
     pub pen_speed_mm_s: f64,
     /// Vertical acceleration while the pen is lifted or lowered, mm/s2; 0 applies only the limits of all motion.
     pub pen_acceleration_mm_s2: f64,
-    /// Time at rest where the pen meets the paper and where it leaves it, ms; 0 means no stop.
+    /// Time at rest where the pen meets the paper and where it leaves it, ms; 0 means no stop. With an input shaper it is at
+    /// least the time of its copies.
     pub pen_dwell_ms: u16,
     /// Mode of the fourth axis on a path.
     pub orientation: Orientation,
@@ -227,7 +228,7 @@ impl Default for MotionLimits {
             travel_tolerance_mm: 0.5,
             jerk_window_ms: 4,
             input_shaper: InputShaper::None,
-            resonance_hz: 45.0,
+            resonance_hz: 50.0,
             resonance_damping: 0.03,
             starve_dwell_ms: 500,
         }

@@ -321,7 +321,9 @@ impl<'e> Operator<'e> {
         let motion = &self.config.motion;
         let mm = 300.0;
         let slowest_mm_s = motion.speed_mm_s.min(motion.travel_speed_mm_s);
-        let strokes_ms = 4.0 * f64::from(motion.pen_dwell_ms);
+        // An input shaper has at most two periods of its resonance, and a tenth for damping.
+        let rest_ms = f64::from(motion.pen_dwell_ms).max(2.2e3 / motion.resonance_hz);
+        let strokes_ms = 4.0 * rest_ms;
         (3_000.0 * mm / slowest_mm_s + strokes_ms) as u32
     }
 
