@@ -298,6 +298,51 @@ fn a_jerk_window_has_its_full_length_or_is_refused() {
 }
 
 #[test]
+fn what_an_input_shaper_cannot_keep_is_refused() {
+    let folder = Folder::new();
+    let usual = include_str!("../../../samples/etherpen.toml");
+    let shaped = usual.replacen("input_shaper = \"none\"", "input_shaper = \"zv\"", 1);
+    assert_ne!(shaped, usual);
+    folder.file("zv.toml", &shaped);
+    let plan = |options: &[&str]| {
+        let command = [
+            "plan",
+            &sample("square.csv").display().to_string(),
+            "--json",
+            "--config",
+            "zv.toml",
+        ]
+        .map(String::from);
+        run(etherpen(&folder).args(command).args(options))
+    };
+    let (status, stdout, stderr) = plan(&[]);
+    assert_eq!(status, Some(0), "{stderr}");
+    let answer = json(&stdout);
+    assert_eq!(answer["violation_count"], 0, "{}", answer["violations"]);
+    // The setpoints lie farther inside than the tolerance, and the answer says how far they may.
+    let (off_mm, more_mm) = (
+        answer["deviation_drawn_max_mm"].as_f64(),
+        answer["limits"]["shaper_deviation_mm"].as_f64(),
+    );
+    assert!(
+        off_mm > Some(0.05) && off_mm < more_mm.map(|mm| mm + 0.05),
+        "{off_mm:?}, {more_mm:?}"
+    );
+    for (options, why) in [
+        (vec!["--tolerance", "0.01"], "no resonance below"),
+        (
+            vec!["--tolerance", "0.001", "--acceleration", "100000"],
+            "keeps no resonance quiet",
+        ),
+        (vec!["--certify"], "--certify"),
+    ] {
+        let (status, stdout, stderr) = plan(&options);
+        assert_eq!(status, Some(i32::from(code::USAGE)), "{options:?}");
+        assert!(stdout.is_empty() && stderr.contains(why), "{options:?}: {stderr}");
+    }
+}
+
+#[test]
 fn dense_points_on_a_circle_take_the_time_of_the_circle() {
     let folder = Folder::new();
     let planned_s = |vertices: u32| {
