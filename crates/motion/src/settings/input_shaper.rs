@@ -33,7 +33,7 @@ const LEFT_OF_COMPENSATED: f64 = 0.78;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Copies {
     pub(crate) weights: [f64; COPIES],
-    /// The same for the height and the fourth axis, which nothing is taken off.
+    /// Weights of the copies of the height and of the fourth axis, which nothing is taken off.
     pub(crate) plain: [f64; COPIES],
     pub(crate) apart_s: f64,
     /// Part of the second difference over `apart_s` that is taken off beforehand.
