@@ -63,6 +63,8 @@ pub struct SlaveClock {
     pub place: u8,
     /// Whether its clock has the time of the bus since it was last switched on.
     pub is_set: bool,
+    /// Whether the slave has not answered when it was asked for its clock. It may have one, to which the time is written too.
+    pub is_unknown: bool,
     /// Port times latched by the last measurement, and whether it latches any; every slave with a clock does.
     pub ports: PortTimes,
     /// The slave's own time when the frame of the measurement passed its processing unit, ns.
@@ -75,6 +77,16 @@ pub struct SlaveClock {
     pub told_delay_ns: u32,
     /// Whether the slave took part in the last measurement, and the chain is still as it was then.
     pub measured: bool,
+}
+
+impl SlaveClock {
+    /// That of a slave which does not answer.
+    pub fn unknown() -> Self {
+        Self {
+            is_unknown: true,
+            ..Self::default()
+        }
+    }
 }
 
 /// The clocks of a bus, in the order of the slaves' numbers.
@@ -221,7 +233,7 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
     /// Notes what was found at a slave's place: another slave with another clock, or with none, may have taken it.
     pub fn replace(&mut self, position: usize, found: &SlaveClock) {
         let slave = self.slaves.get_mut(position);
-        let kind = |slave: &SlaveClock| (slave.width, slave.ports.has_clock);
+        let kind = |slave: &SlaveClock| (slave.width, slave.ports.has_clock, slave.is_unknown);
         if let Some(slave) = slave.filter(|slave| kind(slave) != kind(found)) {
             self.was_narrow |= slave.width == Some(Width::Bits32);
             self.astray = self.astray.without(SlaveSet::of(position));
@@ -231,6 +243,11 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
                 ..*found
             };
         }
+    }
+
+    /// Number of the first slave that has not answered when it was asked for its clock, and answers now.
+    pub fn unknown(&self, answers: impl Fn(usize) -> bool) -> Option<usize> {
+        self.first(|number, slave| slave.is_unknown && answers(number))
     }
 
     /// Adds an extra slave behind all others. Does nothing unless `position` is the next place.
@@ -283,7 +300,7 @@ pub async fn discover<const SLAVES: usize, const MESSAGE: usize>(
             Err(BusError::WorkingCounter { .. }) if !is_used(place.into()) => None,
             found => found?,
         };
-        let found = found.unwrap_or_default();
+        let found = found.unwrap_or_else(SlaveClock::unknown);
         // The loop ends at the capacity.
         let _ = clocks.slaves.push(SlaveClock { place, ..found });
     }
@@ -379,7 +396,7 @@ async fn set_all<const SLAVES: usize, const MESSAGE: usize>(
         let written = write_offset(port, *station, position, clocks, offset_ns.unwrap_or(0)).await;
         match (written, clocks.slaves.get_mut(position)) {
             (Err(_), Some(slave)) if !is_used(position) => {
-                slave.width = None;
+                (slave.width, slave.is_unknown) = (None, true);
                 if position == reference {
                     return Ok(false);
                 }

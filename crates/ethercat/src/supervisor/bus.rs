@@ -4,7 +4,7 @@
 //! show any AL state without disturbing the critical side.
 
 use super::super::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
-use super::super::clock::{self, BusClocks, Presence};
+use super::super::clock::{self, BusClocks, Presence, SlaveClock};
 use super::super::configure::discovery;
 use super::super::cyclic::{CyclicPlan, CyclicSlave, ExchangeKind, PlanError, ReferenceClock, VALUES_MAX, ValueBit};
 use super::super::driver::SlaveFactory;
@@ -457,7 +457,16 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             return;
         };
         let found = clock::read_clock(&mut self.port, slave.station()).await;
-        self.clocks.add_extra(number, found.ok().flatten().unwrap_or_default());
+        let found = found.ok().flatten();
+        self.clocks.add_extra(number, found.unwrap_or_else(SlaveClock::unknown));
+    }
+
+    /// Number of a slave that did not answer when it was asked for its clock, and may answer now. The time is written to such a
+    /// clock too, and is counted.
+    pub(super) fn unknown_clock(&self) -> Option<usize> {
+        let there = self.answering();
+        let answers = |position: usize| there.get(position).is_some_and(|there| *there);
+        self.clocks.unknown(answers).filter(|_| self.setup.clocks)
     }
 
     /// Whether work on a slave is in progress.

@@ -377,6 +377,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         self.bus.inspect(first..last).await;
         self.bus.check_cables().await;
         self.bus.follow_clock().await;
+        self.ask_for_clock().await;
         self.tell_delays().await;
         self.bus.look_at_processor().await;
         let expected = self.bus.expectation(None);
@@ -407,6 +408,22 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         let work = pin!(bus.tell_delays());
         // What is not told yet is told in the next round.
         let _ = inbox.guard(expected, Work::Background, work).await;
+    }
+
+    /// Asks again for a clock that is not known; until then the time that is distributed is counted wrongly, and counts as lost.
+    async fn ask_for_clock(&mut self) {
+        let Some(number) = self.bus.unknown_clock() else {
+            return;
+        };
+        let Self { bus, inbox, .. } = self;
+        let expected = bus.expectation(None);
+        {
+            let work = pin!(bus.restore_clock(number));
+            // What fails is tried again in the next round.
+            let _ = inbox.guard(expected, Work::Background, work).await;
+        }
+        bus.clocks.hold(false);
+        bus.send_plan().await;
     }
 
     /// Looks through the chain, and brings every slave in use that is not in OP back to OP.
