@@ -133,29 +133,41 @@ pub(crate) fn line_strength(light: &Plane, flow: &Flow, sigma: f32) -> Plane {
     let across = Plane::from_fn(width, height, |x, y| {
         let [tx, ty] = tangents[y * width + x];
         let (nx, ny) = (-ty, tx);
-        weights
-            .iter()
-            .map(|&(t, weight)| weight * light.sample(x as f32 + nx * t, y as f32 + ny * t))
-            .sum()
+        let place = |t: f32| (x as f32 + nx * t, y as f32 + ny * t);
+        match light.is_inside(x, y, reach as usize + 1) {
+            true => (weights.iter().map(|&(t, weight)| (place(t), weight)))
+                .map(|((x, y), weight)| weight * light.sample_inside(x, y))
+                .sum(),
+            false => (weights.iter().map(|&(t, weight)| (place(t), weight)))
+                .map(|((x, y), weight)| weight * light.sample(x, y))
+                .sum(),
+        }
     });
     Plane::from_fn(width, height, |x, y| {
-        let mut sum = across.at(x as isize, y as isize);
+        let is_inside = across.is_inside(x, y, FLOW_REACH + 1);
         let [tx, ty] = tangents[y * width + x];
-        for heading in [[tx, ty], [-tx, -ty]] {
-            let (mut at, mut along) = ([x as f32, y as f32], heading);
-            for _ in 0..FLOW_REACH {
-                at = [at[0] + along[0], at[1] + along[1]];
-                sum += across.sample(at[0], at[1]);
+        // Both ways at once, and their sum in order: one does not wait for the other.
+        let mut found = [[0.0; FLOW_REACH]; 2];
+        let mut ways = [[tx, ty], [-tx, -ty]].map(|along| ([x as f32, y as f32], along));
+        for step in 0..FLOW_REACH {
+            for ((at, along), found) in ways.iter_mut().zip(&mut found) {
+                *at = [at[0] + along[0], at[1] + along[1]];
+                found[step] = match is_inside {
+                    true => across.sample_inside(at[0], at[1]),
+                    false => across.sample(at[0], at[1]),
+                };
                 let nearest = |value: f32| (value + 0.5).max(0.0) as i32 as usize;
                 let (column, row) = (nearest(at[0]).min(width - 1), nearest(at[1]).min(height - 1));
                 let [tx, ty] = tangents[row * width + column];
-                along = if tx * along[0] + ty * along[1] < 0.0 {
-                    [-tx, -ty]
-                } else {
-                    [tx, ty]
-                };
+                // No branch: which of the two is as good as random. A sum of -0 counts as positive.
+                let sign = 1.0_f32.copysign(tx * along[0] + ty * along[1] + 0.0);
+                *along = [sign * tx, sign * ty];
             }
         }
+        let sum = found
+            .iter()
+            .flatten()
+            .fold(across.at(x as isize, y as isize), |sum, value| sum + value);
         (sum / (2 * FLOW_REACH + 1) as f32).max(0.0)
     })
 }
