@@ -19,6 +19,7 @@
 //! Invariant: an axis that has hardly moved, or whose samples do not fit the model, gets no estimate.
 
 mod by_position;
+pub mod one_axis;
 
 pub use by_position::weak_config;
 
@@ -151,9 +152,8 @@ pub fn test_config(config: &Config) -> Config {
     test
 }
 
-/// The test motion: circles above the paper that rise and fall, figures of eight, then strokes up and down, all with
-/// the pen lifted.
-pub fn test_path(config: &Config) -> Vec<PathVertex> {
+/// The middle of a motion in the air above the sheet's centre, and how far the lifted pen is below it at most, mm.
+fn middle_mm(config: &Config) -> ([f64; 3], f64) {
     let paper = &config.paper;
     let [x_mm, y_mm] = paper.centre_mm;
     // The highest place of the sheet under the circles.
@@ -161,7 +161,14 @@ pub fn test_path(config: &Config) -> Vec<PathVertex> {
     let low_mm = paper.pen_down_z_mm + paper.pen_lift_mm + rise_mm;
     // A low ceiling makes the motion flatter.
     let clearance_mm = CLEARANCE_MM.min(0.5 * (config.work_area.z_high_mm - low_mm)).max(0.0);
-    let (middle_mm, wave_mm) = (low_mm + clearance_mm, WAVE_MM.min(clearance_mm));
+    ([x_mm, y_mm, low_mm + clearance_mm], clearance_mm)
+}
+
+/// The test motion: circles above the paper that rise and fall, figures of eight, then strokes up and down, all with
+/// the pen lifted.
+pub fn test_path(config: &Config) -> Vec<PathVertex> {
+    let ([x_mm, y_mm, middle_mm], clearance_mm) = middle_mm(config);
+    let wave_mm = WAVE_MM.min(clearance_mm);
     let vertex = |x: f64, y: f64, z: f64| PathVertex {
         position_um: [x, y, z].map(|mm| (mm * 1_000.0).round() as i32),
         pen: Pen::Up,

@@ -4,6 +4,8 @@
 //! The motion runs twice: with the present values, and with the values found, so that the stored values have been
 //! tested.
 
+mod axes;
+
 use super::display::Display;
 use super::operator::Operator;
 use super::ports::OptionalPort;
@@ -20,6 +22,7 @@ use crate::run::{self, RunTask};
 use crate::settings::check_target;
 use crate::terminal::counted;
 use etherpen::config::Config;
+use etherpen::messages::PathVertex;
 use etherpen::robots::AXES;
 use std::path::PathBuf;
 
@@ -31,7 +34,10 @@ pub struct Arguments {
     simulate: bool,
     #[command(flatten)]
     port: OptionalPort,
-    /// Change only this axis, from 1; the main axes still share their lead and feedback gain.
+    /// Instead of measuring, move one axis after the other and ask what moved: finds drives that are exchanged or turn the other way.
+    #[arg(long, conflicts_with_all = ["output", "store"])]
+    axes: bool,
+    /// Change only this axis, from 1, or with --axes move only it; the main axes still share their lead and feedback gain.
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(1..=AXES as i64))]
     axis: Option<u8>,
     /// Store the values in this file; the rest of it is unchanged.
@@ -70,10 +76,13 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         );
         return Err(ProgramError::new(code::USAGE, text));
     }
+    if arguments.axes {
+        return axes::run(arguments, &config, port.as_ref(), physics);
+    }
     let target = target(arguments, &config)?;
     let mut operator = port.as_ref().map(|_| Operator::start());
     let mut result = identify(&config, only, |config| {
-        drive(port.as_ref(), config, physics, operator.as_mut())
+        drive(port.as_ref(), config, test_path(config), physics, operator.as_mut())
     })?;
     print(&result);
     if let Some(path) = target {
@@ -98,14 +107,14 @@ fn target(arguments: &Arguments, config: &Config) -> Result<Option<PathBuf>, Pro
     }
 }
 
-/// Drives the test motion once, on the machine at a port or in a virtual cell.
+/// Drives a motion once, on the machine at a port or in a virtual cell.
 fn drive(
     port: Option<&PortName>,
     config: &Config,
+    path: Vec<PathVertex>,
     physics: Physics,
     operator: Option<&mut Operator>,
 ) -> Result<JobReport, ProgramError> {
-    let path = test_path(config);
     let mut display = Display::new();
     let (Some(port), Some(operator)) = (port, operator) else {
         let task = RunTask {

@@ -23,6 +23,8 @@ pub(super) enum Key {
 /// Keys in the order in which they were pressed.
 pub(super) struct Operator {
     keys: Receiver<Key>,
+    /// What stood before each Enter.
+    lines: Receiver<String>,
     /// Whether Enter can still arrive.
     reads: Arc<AtomicBool>,
     /// Whether a hold was requested.
@@ -36,6 +38,7 @@ impl Operator {
     pub(super) fn start() -> Self {
         let (sender, keys) = mpsc::channel();
         let pressed = sender.clone();
+        let (written, lines) = mpsc::channel();
         let reads = Arc::new(AtomicBool::new(true));
         let reading = reads.clone();
         if let Ok(mut signals) = Signals::new([SIGINT, SIGTERM, SIGHUP]) {
@@ -53,8 +56,8 @@ impl Operator {
             });
         }
         std::thread::spawn(move || {
-            for _ in std::io::stdin().lines().map_while(Result::ok) {
-                if pressed.send(Key::Enter).is_err() {
+            for line in std::io::stdin().lines().map_while(Result::ok) {
+                if written.send(line).is_err() || pressed.send(Key::Enter).is_err() {
                     return;
                 }
             }
@@ -62,6 +65,7 @@ impl Operator {
         });
         Self {
             keys,
+            lines,
             reads,
             held: false,
             early: false,
@@ -109,6 +113,21 @@ impl Operator {
         self.wait()
     }
 
+    /// Waits for a line that answers a question asked now; a line from before counts unless it was typed on a terminal. `None`
+    /// after Ctrl-C, a request to end, or the end of standard input.
+    pub(super) fn answer(&mut self) -> Option<String> {
+        if std::io::stdin().is_terminal() {
+            while self.lines.try_recv().is_ok() {}
+            self.fresh(true).filter(|key| *key == Key::Enter)?;
+        }
+        loop {
+            if let Ok(line) = self.lines.try_recv() {
+                return Some(line);
+            }
+            self.wait().filter(|key| *key == Key::Enter)?;
+        }
+    }
+
     /// The oldest key not yet taken.
     pub(super) fn next_key(&mut self) -> Option<Key> {
         self.keys.try_recv().ok()
@@ -141,6 +160,7 @@ mod tests {
             keys.iter().for_each(|key| sender.send(*key).expect("somebody listens"));
             let operator = Operator {
                 keys: received,
+                lines: mpsc::channel().1,
                 reads: Arc::new(AtomicBool::new(false)),
                 held: false,
                 early: false,

@@ -4,6 +4,8 @@ use super::program::{Folder, etherpen, run};
 use host_tools::error::code;
 use serde_json::Value;
 use std::fs;
+use std::io::Write;
+use std::process::{Command, Stdio};
 
 fn angles(answer: &Value) -> Vec<f64> {
     let axes = answer["axes"].as_array().expect("axes");
@@ -108,4 +110,52 @@ fn identify_measures_every_axis_and_stores_what_it_tried() {
         assert!(stderr.contains(&format!("axis {number}: lead")), "{stderr}");
         assert!((stored.feed_forward_gain - 1.0).abs() < 0.01, "axis {number}: {stderr}");
     }
+}
+
+#[test]
+fn a_person_who_watches_one_axis_after_the_other_finds_exchanged_and_reversed_ones() {
+    let folder = Folder::new();
+    for (machine, said, code, advice) in [
+        ("irb340", "y\n\n3\n", 0, ""),
+        ("gantry", "maybe\n2\n1\ny\n", 1, "axes 1 and 2 are exchanged"),
+        ("corexy", "y\nr\n", 1, "axis 2 goes the other way"),
+        ("scara", "y\ny\n", 130, "ended without an answer"),
+    ] {
+        let words = ["identify", "--axes", "--simulate", "--json", "--machine", machine];
+        let (status, stdout, stderr) = typed(etherpen(&folder).args(words), said);
+        assert_eq!(status, Some(code), "{machine}: {stderr}");
+        assert!(stderr.contains(advice), "{machine}: {stderr}");
+        if code == 130 {
+            continue;
+        }
+        let answer = answer(&stdout);
+        assert_eq!(answer["confirmed"], code == 0, "{machine}: {answer}");
+        for axis in answer["axes"].as_array().expect("axes") {
+            let [by, measured] = ["by", "measured"].map(|value| axis[value].as_f64().expect("a number"));
+            assert!((measured / by.abs() - 1.0).abs() < 0.03, "{machine}: {axis}");
+        }
+    }
+    let (status, _, stderr) = typed(
+        etherpen(&folder).args(["identify", "--axes", "--simulate", "--axis", "4"]),
+        "y\n",
+    );
+    assert_eq!(status, Some(2), "{stderr}");
+    let stored = ["identify", "--axes", "--simulate", "--store"];
+    assert_eq!(typed(etherpen(&folder).args(stored), "").0, Some(2));
+}
+
+/// Runs a program to which this is typed.
+fn typed(command: &mut Command, said: &str) -> (Option<i32>, String, String) {
+    let streams = command
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        .stderr(Stdio::piped());
+    let mut program = streams.spawn().expect("the program starts");
+    let mut input = program.stdin.take().expect("an input");
+    // A program that needs no answer ends before it has read one.
+    let _ = input.write_all(said.as_bytes());
+    drop(input);
+    let output = program.wait_with_output().expect("the program ends");
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    (output.status.code(), text(&output.stdout), text(&output.stderr))
 }

@@ -1,0 +1,257 @@
+//! `etherpen identify --axes`: moves one axis after the other while a person watches, and says what is exchanged or reversed.
+
+use super::{Arguments, drive};
+use crate::axes::{AxisView, Quantity, axes};
+use crate::cell::Physics;
+use crate::commands::operator::Operator;
+use crate::error::{ProgramError, code};
+use crate::identification::one_axis::{OneAxis, slow_config};
+use crate::link::port::PortName;
+use etherpen::config::Config;
+use etherpen::robots::MAIN_AXES;
+use serde::Serialize;
+
+/// What a person saw.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Seen {
+    /// The axis moved, and as it was told.
+    AsTold,
+    /// The axis moved, the other way.
+    Reversed,
+    /// Another axis moved, from 1.
+    Other(u8),
+    /// Nothing that a person could name.
+    Unclear,
+}
+
+impl Seen {
+    /// An answer to the question about an axis, from 1, of several; `None` if it is none.
+    fn parse(answer: &str, axis: u8, axes: u8) -> Option<Self> {
+        match answer.trim().to_lowercase().as_str() {
+            "" | "y" | "yes" => Some(Self::AsTold),
+            "r" | "reversed" => Some(Self::Reversed),
+            "n" | "no" => Some(Self::Unclear),
+            number => match number.parse() {
+                Ok(seen) if seen == axis => Some(Self::AsTold),
+                Ok(seen) if (1..=axes).contains(&seen) => Some(Self::Other(seen)),
+                _ => None,
+            },
+        }
+    }
+}
+
+/// One axis in the result.
+#[derive(Debug, Serialize)]
+struct Watched {
+    /// The axis, from 1.
+    axis: u8,
+    name: String,
+    /// How far it went first, in `unit`.
+    by: f64,
+    unit: &'static str,
+    /// Where the tool went with it, mm.
+    tool_mm: [f64; 3],
+    /// How far its own encoder moved from one end to the other, in `unit`.
+    measured: f64,
+    /// The axis that a person saw move, from 1; absent if none could be told.
+    moved: Option<u8>,
+    /// Whether it went the other way first.
+    reversed: bool,
+    #[serde(skip)]
+    seen: Seen,
+}
+
+/// The result.
+#[derive(Debug, Serialize)]
+struct Answer {
+    axes: Vec<Watched>,
+    /// Whether each axis moved as it was told.
+    confirmed: bool,
+    /// What to do about those that did not.
+    advice: Vec<String>,
+}
+
+/// Moves the axes, asks about each, and tells what follows.
+///
+/// # Errors
+/// Errors of the machine; the person gave no answer; an axis did not move as it was told.
+pub(super) fn run(
+    arguments: &Arguments,
+    config: &Config,
+    port: Option<&PortName>,
+    physics: Physics,
+) -> Result<(), ProgramError> {
+    let mut operator = Operator::start();
+    let views = axes(config);
+    let tools = views.len().min(MAIN_AXES);
+    let mut watched = Vec::new();
+    for view in views.iter().take(tools) {
+        if arguments.axis.is_none_or(|only| usize::from(only) == view.index + 1) {
+            watched.push(watch(config, view, tools as u8, (port, physics), &mut operator)?);
+        }
+    }
+    if watched.is_empty() {
+        let text = "this axis does not move the tool; --axes moves those that do";
+        return Err(ProgramError::new(code::USAGE, text));
+    }
+    let answer = Answer {
+        confirmed: watched.iter().all(|axis| axis.seen == Seen::AsTold),
+        advice: advice(&watched),
+        axes: watched,
+    };
+    for line in &answer.advice {
+        eprintln!("{line}");
+    }
+    if arguments.json {
+        crate::commands::print_json(&answer)?;
+    }
+    match answer.confirmed {
+        true => {
+            eprintln!("each axis moves as the configuration says");
+            Ok(())
+        }
+        false => Err(ProgramError::new(
+            code::FAILED,
+            "not every axis moves as the configuration says; do not draw before that is mended",
+        )),
+    }
+}
+
+/// Moves one axis and asks what was seen.
+fn watch(
+    config: &Config,
+    view: &AxisView,
+    axes: u8,
+    (port, physics): (Option<&PortName>, Physics),
+    operator: &mut Operator,
+) -> Result<Watched, ProgramError> {
+    let axis = view.index as u8 + 1;
+    let motion = OneAxis::new(config, view.index).map_err(|cause| ProgramError::new(code::INPUT, cause))?;
+    let unit = view.motion.unit(Quantity::Position);
+    let way = ["x", "y", "z"]
+        .iter()
+        .zip(motion.tool_mm)
+        .filter(|(_, mm)| mm.abs() >= 0.1);
+    let way: Vec<String> = way.map(|(name, mm)| format!("{name} {mm:+.1} mm")).collect();
+    eprintln!(
+        "axis {axis} ({}) alone moves by {:+.3} {unit} and back, twice; the tool first goes {}",
+        view.name,
+        motion.by,
+        way.join(", ")
+    );
+    let job = drive(port, &slow_config(config), motion.path.clone(), physics, Some(operator))?;
+    let travelled = motion.travelled_rad(&job.samples);
+    let seen = loop {
+        eprintln!(
+            "did axis {axis} move, and first that way? Enter or y: yes; r: it, but the other way; 1 to {axes}: the axis that moved \
+             instead; n: I cannot tell"
+        );
+        let said = operator
+            .answer()
+            .ok_or_else(|| ProgramError::new(code::INTERRUPTED, "ended without an answer"))?;
+        match Seen::parse(&said, axis, axes) {
+            Some(seen) => break seen,
+            None => eprintln!("\"{}\" is none of the answers", said.trim()),
+        }
+    };
+    Ok(Watched {
+        axis,
+        name: view.name.clone(),
+        by: motion.by,
+        unit,
+        tool_mm: motion.tool_mm,
+        measured: travelled.get(view.index).copied().unwrap_or_default() * view.motion.factor(),
+        moved: match seen {
+            Seen::AsTold | Seen::Reversed => Some(axis),
+            Seen::Other(other) => Some(other),
+            Seen::Unclear => None,
+        },
+        reversed: seen == Seen::Reversed,
+        seen,
+    })
+}
+
+/// What to do, a line for each finding. Two axes that each moved instead of the other are one.
+fn advice(watched: &[Watched]) -> Vec<String> {
+    let instead_of = |axis: u8| match watched.iter().find(|watched| watched.axis == axis)?.seen {
+        Seen::Other(seen) => Some(seen),
+        _ => None,
+    };
+    let line = |watched: &Watched| {
+        let axis = watched.axis;
+        Some(match watched.seen {
+            Seen::AsTold => return None,
+            Seen::Other(other) if instead_of(other) == Some(axis) && other < axis => return None,
+            Seen::Other(other) if instead_of(other) == Some(axis) => format!(
+                "axes {axis} and {other} are exchanged: exchange the places of their drives on the bus, or the motors' cables (power and \
+                 encoder together), and home again"
+            ),
+            Seen::Other(other) => format!(
+                "axis {other} moved instead of axis {axis}: [[axes]] stand in the order of the drives on the bus; put the drives, or \
+                 their motors' cables (power and encoder together), into that order, and home again"
+            ),
+            Seen::Reversed => format!(
+                "axis {axis} goes the other way: change the sign of its gear in the configuration, and home again"
+            ),
+            Seen::Unclear => format!(
+                "axis {axis} is not confirmed: look at its drive, its brake and its motor's cable, then `etherpen identify --axes \
+                 --axis {axis}` moves it alone"
+            ),
+        })
+    };
+    watched.iter().filter_map(line).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn watched(seen: &[Seen]) -> Vec<Watched> {
+        let axis = |(axis, seen): (u8, &Seen)| Watched {
+            axis,
+            name: String::new(),
+            by: 0.08,
+            unit: "rad",
+            tool_mm: [0.0; 3],
+            measured: 0.08,
+            moved: None,
+            reversed: false,
+            seen: *seen,
+        };
+        (1..).zip(seen).map(axis).collect()
+    }
+
+    #[test]
+    fn answers_are_understood_and_others_asked_again() {
+        for (said, seen) in [
+            ("", Some(Seen::AsTold)),
+            (" Y ", Some(Seen::AsTold)),
+            ("2", Some(Seen::AsTold)),
+            ("3", Some(Seen::Other(3))),
+            ("r", Some(Seen::Reversed)),
+            ("no", Some(Seen::Unclear)),
+            ("4", None),
+            ("0", None),
+            ("-1", None),
+            ("maybe", None),
+        ] {
+            assert_eq!(Seen::parse(said, 2, 3), seen, "{said}");
+        }
+    }
+
+    #[test]
+    fn exchanged_reversed_and_turned_round_axes_have_their_advice() {
+        let told = |seen: &[Seen]| advice(&watched(seen)).join("\n");
+        assert_eq!(told(&[Seen::AsTold; 3]), "");
+        let exchanged = told(&[Seen::Other(3), Seen::AsTold, Seen::Other(1)]);
+        assert!(exchanged.starts_with("axes 1 and 3 are exchanged"), "{exchanged}");
+        assert_eq!(exchanged.lines().count(), 1);
+        let round = told(&[Seen::Other(2), Seen::Other(3), Seen::Other(1)]);
+        assert_eq!(round.lines().count(), 3);
+        let both = told(&[Seen::AsTold, Seen::Reversed, Seen::Unclear]);
+        assert!(
+            both.contains("axis 2 goes the other way") && both.contains("axis 3 is not confirmed"),
+            "{both}"
+        );
+    }
+}

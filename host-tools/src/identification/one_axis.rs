@@ -1,0 +1,162 @@
+//! A motion of one axis alone, for a person who watches which drive turns.
+//!
+//! Drives that are exchanged, or turn the other way, are consistent with themselves: each follows its own commands, and a
+//! robot with equal axes hangs the same with two of them exchanged. Only somebody who sees the machine can tell.
+//!
+//! The path is the way of the tool while one joint turns back and forth, its vertices so close to each other that the other
+//! joints stand still within [`OTHERS_RAD`]. Invariant: every vertex lies in the work area.
+
+use super::middle_mm;
+use crate::axes::{Motion, motion};
+use etherpen::application::Mode;
+use etherpen::config::{Config, Orientation};
+use etherpen::messages::{PathVertex, Sample};
+use etherpen::motion::{Pen, WorkArea};
+use etherpen::robots::{AXES, JointAngles, LINEAR_MM_PER_RAD, MAIN_AXES, Position};
+
+/// How far a rotary axis turns, rad, and a linear one travels, mm, where there is room; a quarter of it at least.
+const TURN_RAD: f64 = 0.08;
+const TRAVEL_MM: f64 = 20.0;
+/// Highest speed of the tool, mm/s: slow enough to be followed by eye.
+const SPEED_MM_S: f64 = 20.0;
+/// How often the axis goes there and back, and vertices on each way.
+const TIMES: usize = 2;
+const STEPS: usize = 40;
+/// How far the other joints may turn, rad: the rounding of the vertices and of the corners between them.
+pub const OTHERS_RAD: f64 = 1.5e-3;
+
+/// The motion of one axis.
+#[derive(Clone, Debug)]
+pub struct OneAxis {
+    /// How far the axis goes first, in its unit: rad or mm.
+    pub by: f64,
+    /// Where the tool goes with it, mm.
+    pub tool_mm: [f64; 3],
+    /// There and back, twice, with the pen up.
+    pub path: Vec<PathVertex>,
+    /// The joints where it begins, rad.
+    from_rad: [f64; MAIN_AXES],
+}
+
+impl OneAxis {
+    /// The motion of a main axis, from 0, above the sheet's centre.
+    ///
+    /// # Errors
+    /// The machine has no such main axis, or it has no room there.
+    pub fn new(config: &Config, axis: usize) -> Result<Self, String> {
+        if axis >= MAIN_AXES.min(config.bus.drives.into()) {
+            return Err(format!("axis {} does not move the tool", axis + 1));
+        }
+        let area = WorkArea::new(&config.motion_settings()).map_err(|cause| cause.to_string())?;
+        let from_mm = middle_mm(config).0;
+        let from_rad = area.kinematics().inverse(&Position::from(from_mm));
+        let from_rad = from_rad.map_err(|_| "the robot has no pose above the sheet's centre".to_owned())?;
+        let whole_rad = match motion(config.geometry.kind(), axis) {
+            Motion::Rotary => TURN_RAD,
+            Motion::Linear => TRAVEL_MM / LINEAR_MM_PER_RAD,
+        };
+        let shares = [1.0, -1.0, 0.5, -0.5, 0.25, -0.25];
+        let found = shares.into_iter().find_map(|share| {
+            let way = way(&area, from_rad, axis, share * whole_rad)?;
+            Some((share * whole_rad, way))
+        });
+        let (by_rad, way) = found.ok_or_else(|| format!("axis {} has no room above the sheet's centre", axis + 1))?;
+        // Each vertex once: no end is there twice.
+        let there_and_back = || way.iter().skip(1).chain(way.iter().rev().skip(1));
+        let path = way.iter().take(1).chain((0..TIMES).flat_map(|_| there_and_back()));
+        let tool_mm = way.last().map_or([0.0; 3], |end| {
+            let um = |k: usize| f64::from(end.position_um[k]) - (1_000.0 * from_mm[k]).round();
+            std::array::from_fn(|k| um(k) / 1_000.0)
+        });
+        Ok(Self {
+            by: by_rad * motion(config.geometry.kind(), axis).factor(),
+            tool_mm,
+            path: path.copied().collect(),
+            from_rad,
+        })
+    }
+
+    /// How far each main axis was measured to move, from one end to the other, rad, once it was where the motion begins.
+    #[must_use]
+    pub fn travelled_rad(&self, samples: &[Sample]) -> [f64; MAIN_AXES] {
+        let has_come = |sample: &&Sample| {
+            let mut joints = self.from_rad.iter().zip(sample.setpoint_rad);
+            joints.all(|(from_rad, at_rad)| (from_rad - f64::from(at_rad)).abs() < OTHERS_RAD)
+        };
+        let drawn = samples.iter().filter(|sample| sample.mode == Mode::Drawing);
+        let mut ranges = [None::<[f64; 2]>; MAIN_AXES];
+        for sample in drawn.skip_while(|sample| !has_come(sample)) {
+            for (range, measured) in ranges.iter_mut().zip(sample.measured_rad) {
+                let measured = f64::from(measured);
+                let [low, high] = range.unwrap_or([measured; 2]);
+                *range = Some([low.min(measured), high.max(measured)]);
+            }
+        }
+        ranges.map(|range| range.map_or(0.0, |[low, high]| high - low))
+    }
+}
+
+/// The vertices while a joint turns by `by_rad`; `None` if one of them is outside the work area.
+fn way(area: &WorkArea, from_rad: [f64; MAIN_AXES], axis: usize, by_rad: f64) -> Option<Vec<PathVertex>> {
+    (0..=STEPS)
+        .map(|step| {
+            let mut joints_rad = [0.0; AXES];
+            joints_rad[..MAIN_AXES].copy_from_slice(&from_rad);
+            joints_rad[axis] += by_rad * step as f64 / STEPS as f64;
+            let at = area.kinematics().forward(&JointAngles(joints_rad)).ok()?;
+            let um = [at.x_mm, at.y_mm, at.z_mm].map(|mm| (mm * 1_000.0).round());
+            let rounded = Position::from(um.map(|um| um / 1_000.0));
+            area.contains(&rounded).then_some(PathVertex {
+                position_um: um.map(|um| um as i32),
+                pen: Pen::Up,
+                stroke: 0,
+            })
+        })
+        .collect()
+}
+
+/// The configuration for the motion: the given one with a low speed, and with a turn that stays.
+#[must_use]
+pub fn slow_config(config: &Config) -> Config {
+    let mut slow = config.clone();
+    let motion = &mut slow.motion;
+    motion.orientation = Orientation::Constant;
+    motion.speed_mm_s = motion.speed_mm_s.min(SPEED_MM_S);
+    motion.travel_speed_mm_s = motion.travel_speed_mm_s.min(SPEED_MM_S);
+    slow
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::settings::machines::MACHINES;
+
+    #[test]
+    fn one_joint_turns_and_the_others_stand_still() {
+        for machine in &MACHINES {
+            let config = machine.load().expect("a configuration");
+            let area = WorkArea::new(&config.motion_settings()).expect("a robot");
+            for axis in 0..MAIN_AXES.min(config.bus.drives.into()) {
+                let motion = OneAxis::new(&config, axis).expect("room");
+                let joints = motion.path.iter().map(|vertex| {
+                    let at_mm = vertex.position_um.map(|um| f64::from(um) / 1_000.0);
+                    area.check(&Position::from(at_mm)).expect("inside")
+                });
+                let joints: Vec<_> = joints.collect();
+                for other in 0..MAIN_AXES {
+                    let angles = joints.iter().map(|joints| joints[other]);
+                    let span_rad = angles.clone().fold(f64::MIN, f64::max) - angles.fold(f64::MAX, f64::min);
+                    match other == axis {
+                        true => assert!(span_rad > 0.019, "{axis}: {span_rad}"),
+                        false => assert!(span_rad < 1e-4, "{axis}, {other}: {span_rad}"),
+                    }
+                }
+                assert!(motion.path.iter().all(|vertex| vertex.pen == Pen::Up));
+                assert!(motion.path.windows(2).all(|pair| pair[0] != pair[1]));
+                assert_eq!(joints.first(), joints.last());
+            }
+            let none = OneAxis::new(&config, MAIN_AXES).expect_err("no axis that moves the tool");
+            assert_eq!(none, "axis 4 does not move the tool");
+        }
+    }
+}
