@@ -21,7 +21,7 @@ const JOIN_MM: f64 = 0.05;
 /// Effort of the search for the best tour.
 const BEST_EFFORT: usize = 40;
 /// Largest mean ratio of the travel lengths to the best known ones; no travel may be longer than the given one.
-const PEN_UP_RATIO_MAX: f64 = 1.10;
+const PEN_UP_RATIO_MAX: f64 = 1.05;
 /// Share of vpype's time that the order may take.
 const TIME_SHARE_MAX: f64 = 0.1;
 /// The vector files.
