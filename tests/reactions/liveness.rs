@@ -267,15 +267,16 @@ fn drives_that_were_off_or_away_for_long_get_the_time_back_with_one_acknowledgem
 }
 
 #[test]
-fn a_coupler_that_was_away_when_the_clocks_were_set_up_does_not_keep_them_lost() {
+fn slaves_that_were_away_when_the_clocks_were_set_up_do_not_keep_them_lost() {
     let mut config = Config::default();
     config.bus.clocks = true;
     // From when the addresses are given until the clocks are asked for, and back while the drives go to OP, or later.
     let absences = (20..80)
         .step_by(5)
         .flat_map(|from| [120, 200, 1_000].map(|ms| (from, ms)));
-    for (from_ms, away_ms) in absences {
-        println!("away from {from_ms} ms, for {away_ms} ms");
+    let absences: Vec<_> = absences.flat_map(|(from, ms)| [(1, from, ms), (3, from, ms)]).collect();
+    for (slave, from_ms, away_ms) in absences {
+        println!("slave {slave} away from {from_ms} ms, for {away_ms} ms");
         let options = CellOptions {
             slaves: parse_slaves("ek1100,ax2000*4").expect("a list"),
             ..CellOptions::default()
@@ -283,11 +284,12 @@ fn a_coupler_that_was_away_when_the_clocks_were_set_up_does_not_keep_them_lost()
         let mut robot = Robot::of(&config, options);
         robot.configure(&config);
         robot.run(from_ms);
-        robot.inject(CellFault::Remove(1));
+        robot.inject(CellFault::Remove(slave));
         robot.run(away_ms);
-        robot.inject(CellFault::Insert(1));
+        robot.inject(CellFault::Insert(slave));
         robot.run(12_000);
         come_back(&mut robot, 1);
+        assert_truly_agree(&mut robot, &[2, 3, 4, 5], "drawn");
     }
 }
 

@@ -121,6 +121,9 @@ impl Operator {
             self.fresh(true).filter(|key| *key == Key::Enter)?;
         }
         loop {
+            while let Some(key) = self.next_key() {
+                Some(key).filter(|key| *key == Key::Enter)?;
+            }
             if let Ok(line) = self.lines.try_recv() {
                 return Some(line);
             }

@@ -210,6 +210,38 @@ mod tests {
     }
 
     #[test]
+    fn rows_and_columns_of_dashes_are_found_in_any_order() {
+        // Dashes of 3 mm; from one to the next in a row, and from one row to the next, mm. Once each for the shorter of both.
+        for (columns, rows, across_mm, down_mm) in [(20_u32, 20_u32, 5.0, 8.0), (26, 80, 3.0, 2.0), (6, 60, 9.0, 2.0)] {
+            let dash = |k: u32| {
+                let place = (k * 977 + 13) % (columns * rows);
+                let (x, y) = (f64::from(place % columns), f64::from(place / columns));
+                let from = [10.0 + x * (3.0 + across_mm), 10.0 + y * down_mm];
+                let mut points = vec![from, [from[0] + 3.0, from[1]]];
+                if k.is_multiple_of(3) {
+                    points.reverse();
+                }
+                Stroke { points }
+            };
+            let mut drawing = Drawing {
+                sheet_mm: [250.0, 250.0],
+                strokes: (0..columns * rows).map(dash).collect(),
+                ..Drawing::default()
+            };
+            let options = OrderOptions {
+                join_gap_mm: -1.0,
+                ..OrderOptions::default()
+            };
+            let report = order(&mut drawing, &options);
+            let (c, r) = (f64::from(columns), f64::from(rows));
+            let by_rows_mm = r * (c - 1.0) * across_mm + (r - 1.0) * down_mm;
+            let by_columns_mm = c * (r - 1.0) * down_mm + (c - 1.0) * across_mm;
+            let best_mm = by_rows_mm.min(by_columns_mm);
+            assert!(report.pen_up_mm_after < 1.03 * best_mm, "{best_mm} mm: {report:?}");
+        }
+    }
+
+    #[test]
     fn a_torn_line_becomes_one_stroke_and_gaps_alone_are_added() {
         let torn = |k: u32| Stroke {
             points: vec![[f64::from(k), 0.0], [f64::from(k) + 0.7, 0.0]],

@@ -4,9 +4,10 @@
 //! robot with equal axes hangs the same with two of them exchanged. Only somebody who sees the machine can tell.
 //!
 //! The path is the way of the tool while one joint turns back and forth, its vertices so close to each other that the other
-//! joints stand still within [`OTHERS_RAD`]. Invariant: every vertex lies in the work area.
+//! joints stand still within [`OTHERS_RAD`]. Invariant: the axis may as well go the other way, and another main axis may turn its motor
+//! as far instead: each has room in the work area, above the height of the lifted pen, and goes no farther than is meant.
 
-use super::middle_mm;
+use super::{middle_mm, test_config};
 use crate::axes::{Motion, motion};
 use etherpen::application::Mode;
 use etherpen::config::{Config, Orientation};
@@ -17,8 +18,11 @@ use etherpen::robots::{AXES, JointAngles, LINEAR_MM_PER_RAD, MAIN_AXES, Position
 /// How far a rotary axis turns, rad, and a linear one travels, mm, where there is room; a quarter of it at least.
 const TURN_RAD: f64 = 0.08;
 const TRAVEL_MM: f64 = 20.0;
-/// Highest speed of the tool, mm/s: slow enough to be followed by eye.
+/// Least part of it that a person can see.
+const PART_MIN: f64 = 0.05;
+/// Highest speed and acceleration of the tool, mm/s and mm/s2: slow enough to be followed by eye.
 const SPEED_MM_S: f64 = 20.0;
+const ACCELERATION_MM_S2: f64 = 200.0;
 /// How often the axis goes there and back, and vertices on each way.
 const TIMES: usize = 2;
 const STEPS: usize = 40;
@@ -48,19 +52,22 @@ impl OneAxis {
             return Err(format!("axis {} does not move the tool", axis + 1));
         }
         let area = WorkArea::new(&config.motion_settings()).map_err(|cause| cause.to_string())?;
-        let from_mm = middle_mm(config).0;
+        let (from_mm, clearance_mm) = middle_mm(config);
+        let lowest_mm = from_mm[2] - clearance_mm;
         let from_rad = area.kinematics().inverse(&Position::from(from_mm));
         let from_rad = from_rad.map_err(|_| "the robot has no pose above the sheet's centre".to_owned())?;
-        let whole_rad = match motion(config.geometry.kind(), axis) {
-            Motion::Rotary => TURN_RAD,
-            Motion::Linear => TRAVEL_MM / LINEAR_MM_PER_RAD,
-        };
-        let shares = [1.0, -1.0, 0.5, -0.5, 0.25, -0.25];
-        let found = shares.into_iter().find_map(|share| {
-            let way = way(&area, from_rad, axis, share * whole_rad)?;
-            Some((share * whole_rad, way))
+        let found = [1.0, 0.5, 0.25].into_iter().find_map(|share| {
+            let by_rad = share * meant_rad(config, axis) * part(config, axis);
+            let way = |by_rad| way(&area, from_rad, axis, by_rad, lowest_mm);
+            way(-by_rad)?;
+            Some((by_rad, way(by_rad)?))
         });
-        let (by_rad, way) = found.ok_or_else(|| format!("axis {} has no room above the sheet's centre", axis + 1))?;
+        let (by_rad, way) = found.ok_or_else(|| {
+            format!(
+                "axis {} has no room above the sheet's centre: it takes some millimetres each way",
+                axis + 1
+            )
+        })?;
         // Each vertex once: no end is there twice.
         let there_and_back = || way.iter().skip(1).chain(way.iter().rev().skip(1));
         let path = way.iter().take(1).chain((0..TIMES).flat_map(|_| there_and_back()));
@@ -96,8 +103,32 @@ impl OneAxis {
     }
 }
 
-/// The vertices while a joint turns by `by_rad`; `None` if one of them is outside the work area.
-fn way(area: &WorkArea, from_rad: [f64; MAIN_AXES], axis: usize, by_rad: f64) -> Option<Vec<PathVertex>> {
+/// How far an axis is to go, rad.
+fn meant_rad(config: &Config, axis: usize) -> f64 {
+    match motion(config.geometry.kind(), axis) {
+        Motion::Rotary => TURN_RAD,
+        Motion::Linear => TRAVEL_MM / LINEAR_MM_PER_RAD,
+    }
+}
+
+/// The part of it, at most 1, with which no other main axis goes farther than is meant if its motor turns as far instead.
+fn part(config: &Config, axis: usize) -> f64 {
+    let motor_rad = |axis: usize| meant_rad(config, axis) * config.axes[axis].gear.abs();
+    let others = 0..MAIN_AXES.min(config.bus.drives.into());
+    let least = others
+        .map(|other| motor_rad(other) / motor_rad(axis))
+        .fold(1.0, f64::min);
+    least.clamp(PART_MIN, 1.0)
+}
+
+/// The vertices while a joint turns by `by_rad`; `None` if one of them is outside the work area or lower than `lowest_mm`.
+fn way(
+    area: &WorkArea,
+    from_rad: [f64; MAIN_AXES],
+    axis: usize,
+    by_rad: f64,
+    lowest_mm: f64,
+) -> Option<Vec<PathVertex>> {
     (0..=STEPS)
         .map(|step| {
             let mut joints_rad = [0.0; AXES];
@@ -106,7 +137,8 @@ fn way(area: &WorkArea, from_rad: [f64; MAIN_AXES], axis: usize, by_rad: f64) ->
             let at = area.kinematics().forward(&JointAngles(joints_rad)).ok()?;
             let um = [at.x_mm, at.y_mm, at.z_mm].map(|mm| (mm * 1_000.0).round());
             let rounded = Position::from(um.map(|um| um / 1_000.0));
-            area.contains(&rounded).then_some(PathVertex {
+            let is_inside = area.contains(&rounded) && rounded.z_mm >= lowest_mm;
+            is_inside.then_some(PathVertex {
                 position_um: um.map(|um| um as i32),
                 pen: Pen::Up,
                 stroke: 0,
@@ -115,14 +147,16 @@ fn way(area: &WorkArea, from_rad: [f64; MAIN_AXES], axis: usize, by_rad: f64) ->
         .collect()
 }
 
-/// The configuration for the motion: the given one with a low speed, and with a turn that stays.
+/// The configuration for the motion of a main axis, from 0: that of the test motion, slower, and with a turn that stays.
 #[must_use]
-pub fn slow_config(config: &Config) -> Config {
-    let mut slow = config.clone();
+pub fn slow_config(config: &Config, axis: usize) -> Config {
+    let mut slow = test_config(config);
     let motion = &mut slow.motion;
+    let speed_mm_s = SPEED_MM_S * part(config, axis);
     motion.orientation = Orientation::Constant;
-    motion.speed_mm_s = motion.speed_mm_s.min(SPEED_MM_S);
-    motion.travel_speed_mm_s = motion.travel_speed_mm_s.min(SPEED_MM_S);
+    motion.speed_mm_s = motion.speed_mm_s.min(speed_mm_s);
+    motion.travel_speed_mm_s = motion.travel_speed_mm_s.min(speed_mm_s);
+    motion.acceleration_mm_s2 = motion.acceleration_mm_s2.min(ACCELERATION_MM_S2);
     slow
 }
 
@@ -147,10 +181,16 @@ mod tests {
                     let angles = joints.iter().map(|joints| joints[other]);
                     let span_rad = angles.clone().fold(f64::MIN, f64::max) - angles.fold(f64::MAX, f64::min);
                     match other == axis {
-                        true => assert!(span_rad > 0.019, "{axis}: {span_rad}"),
+                        true => assert!(span_rad > 2.0 * OTHERS_RAD, "{axis}: {span_rad}"),
                         false => assert!(span_rad < 1e-4, "{axis}, {other}: {span_rad}"),
                     }
                 }
+                let lifted_mm = config.paper.pen_down_z_mm + config.paper.pen_lift_mm;
+                let heights_mm = motion
+                    .path
+                    .iter()
+                    .map(|vertex| f64::from(vertex.position_um[2]) / 1_000.0);
+                assert!(heights_mm.into_iter().all(|z_mm| z_mm >= lifted_mm - 0.001));
                 assert!(motion.path.iter().all(|vertex| vertex.pen == Pen::Up));
                 assert!(motion.path.windows(2).all(|pair| pair[0] != pair[1]));
                 assert_eq!(joints.first(), joints.last());
@@ -158,5 +198,22 @@ mod tests {
             let none = OneAxis::new(&config, MAIN_AXES).expect_err("no axis that moves the tool");
             assert_eq!(none, "axis 4 does not move the tool");
         }
+    }
+
+    #[test]
+    fn a_low_ceiling_or_a_quicker_gear_elsewhere_makes_the_motion_smaller_or_refuses_it() {
+        let mut config = MACHINES[1].load().expect("a configuration");
+        let by_mm = |config: &Config| OneAxis::new(config, 2).map(|motion| motion.by);
+        let usual_mm = by_mm(&config).expect("room");
+        // The height's motor turns four times as often for a millimetre as it did.
+        config.axes[2].gear *= 4.0;
+        let slower_mm = by_mm(&config).expect("room");
+        assert!(slower_mm < 0.6 * usual_mm, "{slower_mm} of {usual_mm} mm");
+        let speed_mm_s = |config: &Config, axis| slow_config(config, axis).motion.travel_speed_mm_s;
+        assert!(speed_mm_s(&config, 2) < 0.6 * speed_mm_s(&config, 0));
+        let lifted_mm = config.paper.pen_down_z_mm + config.paper.pen_lift_mm;
+        config.work_area.z_high_mm = lifted_mm + 1.0;
+        let refused = by_mm(&config).expect_err("no room");
+        assert!(refused.starts_with("axis 3 has no room"), "{refused}");
     }
 }

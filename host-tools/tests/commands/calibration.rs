@@ -116,10 +116,16 @@ fn identify_measures_every_axis_and_stores_what_it_tried() {
 fn a_person_who_watches_one_axis_after_the_other_finds_exchanged_and_reversed_ones() {
     let folder = Folder::new();
     for (machine, said, code, advice) in [
-        ("irb340", "y\n\n3\n", 0, ""),
-        ("gantry", "maybe\n2\n1\ny\n", 1, "axes 1 and 2 are exchanged"),
-        ("corexy", "y\nr\n", 1, "axis 2 goes the other way"),
-        ("scara", "y\ny\n", 130, "ended without an answer"),
+        (
+            "irb340",
+            "\ny\n\n3\n",
+            0,
+            "axis 4 turns the tool in its place and was not tried",
+        ),
+        ("gantry", "\nmaybe\n2\n1\ny\n", 1, "axes 1 and 2 are exchanged"),
+        ("corexy", "\ny\nr\n", 1, "axis 2 goes the other way"),
+        ("scara", "\ny\ny\n", 130, "ended without an answer"),
+        ("linear-delta", "\nn\ny\n1\n", 1, "axis 1 moved instead of axis 3"),
     ] {
         let words = ["identify", "--axes", "--simulate", "--json", "--machine", machine];
         let (status, stdout, stderr) = typed(etherpen(&folder).args(words), said);

@@ -245,9 +245,24 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
         }
     }
 
-    /// Number of the first slave that has not answered when it was asked for its clock, and answers now.
-    pub fn unknown(&self, answers: impl Fn(usize) -> bool) -> Option<usize> {
-        self.first(|number, slave| slave.is_unknown && answers(number))
+    /// Number of the next slave behind `last`, round and round, that has not answered when it was asked for its clock, and is asked
+    /// again.
+    pub fn unknown(&self, last: usize, is_asked: impl Fn(usize) -> bool) -> Option<usize> {
+        let unknown = |number: &usize| self.is_unknown(*number) && is_asked(*number);
+        let behind = (last + 1..self.slaves.len()).find(unknown);
+        behind.or_else(|| (0..=last).find(unknown))
+    }
+
+    /// Whether a slave has not answered when it was asked for its clock.
+    pub fn is_unknown(&self, position: usize) -> bool {
+        self.slaves.get(position).is_some_and(|slave| slave.is_unknown)
+    }
+
+    /// Notes that a slave has to be asked for its clock again.
+    pub fn forget(&mut self, position: usize) {
+        if let Some(slave) = self.slaves.get_mut(position) {
+            slave.is_unknown = true;
+        }
     }
 
     /// Adds an extra slave behind all others. Does nothing unless `position` is the next place.

@@ -461,12 +461,17 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
         self.clocks.add_extra(number, found.unwrap_or_else(SlaveClock::unknown));
     }
 
-    /// Number of a slave that did not answer when it was asked for its clock, and may answer now. The time is written to such a
-    /// clock too, and is counted.
-    pub(super) fn unknown_clock(&self) -> Option<usize> {
-        let there = self.answering();
-        let answers = |position: usize| there.get(position).is_some_and(|there| *there);
-        self.clocks.unknown(answers).filter(|_| self.setup.clocks)
+    /// Number of the next slave behind `last` that did not answer when it was asked for its clock, and may answer now. The time is
+    /// written to such a clock too, and is counted. One in use that waits for its repair is asked then.
+    pub(super) fn unknown_clock(&self, last: usize) -> Option<usize> {
+        let is_asked = |number: usize| {
+            let slave = self.slaves.get(number);
+            slave.is_some_and(|slave| match slave.is_used() {
+                true => slave.condition == Condition::Operational,
+                false => slave.condition != Condition::Lost,
+            })
+        };
+        self.clocks.unknown(last, is_asked).filter(|_| self.setup.clocks)
     }
 
     /// Whether work on a slave is in progress.

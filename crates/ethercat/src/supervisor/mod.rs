@@ -35,7 +35,7 @@ use super::diagnostics::{ServiceError, ServiceRequest, ServiceResult};
 use super::driver::SlaveFactory;
 use super::error::BusError;
 pub use super::event::{BusCommand, BusEvent, BusSetup, Step};
-use super::slave::Condition;
+use super::slave::{Condition, Slave};
 use super::slave_set::SlaveSet;
 use crate::port_state::PortState;
 use crate::state;
@@ -53,6 +53,8 @@ const INSPECTION_PAUSE_MS: u32 = 50;
 const LOOK_PERIOD_MS: u32 = 20;
 /// Shortest pause between two of them, ms.
 const LOOK_PAUSE_MS: u32 = SUSPICION_MS + 2;
+/// Pause between two slaves that are asked again for their clocks, ms.
+const CLOCK_PAUSE_MS: u32 = 500;
 /// Time in which a port that has been opened lets frames through, ms.
 const OPENED_MS: u32 = 2;
 const NS_PER_MS: u32 = 1_000_000;
@@ -171,6 +173,9 @@ pub struct Supervisor<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     rescans_failed: u8,
     inspected_ms: u32,
     looked_ms: u32,
+    /// When a slave was last asked for its clock again, and which one.
+    asked_ms: u32,
+    asked_last: u8,
     look_next: u8,
     /// Whether the lost link of the running bus was reported.
     port_missed: bool,
@@ -218,6 +223,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             rescans_failed: 0,
             inspected_ms: 0,
             looked_ms: 0,
+            asked_ms: 0,
+            asked_last: 0,
             look_next: 0,
         }
     }
@@ -395,35 +402,54 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             self.slaves_measured = there;
             self.bus.clocks.chain_changed();
         }
+        let expected = self.disturbed_expectation();
         let Self { bus, inbox, .. } = self;
-        let mut expected = Expectation {
-            slaves: Some(there),
-            ..bus.expectation(None)
-        };
-        if there > bus.present() || inbox.suspicion_ms > 0 {
-            // Slaves that wait for their repair may be in any state; what stays wrong does not keep the clocks from being told.
-            (expected.required, expected.allowed) = (0, inbox::STATUS_MASK);
-            expected.answering = SlaveSet::NONE;
-        }
         let work = pin!(bus.tell_delays());
         // What is not told yet is told in the next round.
         let _ = inbox.guard(expected, Work::Background, work).await;
     }
 
-    /// Asks again for a clock that is not known; until then the time that is distributed is counted wrongly, and counts as lost.
+    /// Asks again for a clock that is not known; until then the time that is distributed is counted wrongly, and counts as lost. A
+    /// slave in use is left to its repair: its sync signals start with its clock.
     async fn ask_for_clock(&mut self) {
-        let Some(number) = self.bus.unknown_clock() else {
+        let now_ms = self.bus.port.now_ms();
+        if now_ms.wrapping_sub(self.asked_ms) < CLOCK_PAUSE_MS {
+            return;
+        }
+        let Some(number) = self.bus.unknown_clock(self.asked_last.into()) else {
             return;
         };
+        (self.asked_ms, self.asked_last) = (now_ms, number as u8);
+        if self.bus.slaves.get(number).is_some_and(Slave::is_used) {
+            self.doubt(SlaveSet::of(number)).await;
+            return;
+        }
+        let expected = self.disturbed_expectation();
         let Self { bus, inbox, .. } = self;
-        let expected = bus.expectation(None);
-        {
+        let result = {
             let work = pin!(bus.restore_clock(number));
-            // What fails is tried again in the next round.
-            let _ = inbox.guard(expected, Work::Background, work).await;
+            inbox.guard(expected, Work::Background, work).await
+        };
+        if !matches!(result, Ok(Ok(()))) {
+            bus.clocks.forget(number);
         }
         bus.clocks.hold(false);
         bus.send_plan().await;
+    }
+
+    /// What the critical side should see while something stays wrong that must not keep other work from being done.
+    fn disturbed_expectation(&self) -> Expectation {
+        let there = self.inbox.slaves();
+        let mut expected = Expectation {
+            slaves: Some(there),
+            ..self.bus.expectation(None)
+        };
+        if there > self.bus.present() || self.inbox.suspicion_ms > 0 {
+            // Slaves that wait for their repair may be in any state.
+            (expected.required, expected.allowed) = (0, inbox::STATUS_MASK);
+            expected.answering = SlaveSet::NONE;
+        }
+        expected
     }
 
     /// Looks through the chain, and brings every slave in use that is not in OP back to OP.

@@ -56,7 +56,10 @@ impl<F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'_, F, SLAV
                 self.is_in_order(&places, place, number).map_err(at(Step::Locate))?;
                 if slave.is_refused_terminal() {
                     self.read_again(number).await.map_err(at(Step::Identify))?;
-                } else if returned == Returned::Same && self.resume(number).await.is_ok() {
+                } else if returned == Returned::Same
+                    && !self.clocks.is_unknown(number)
+                    && self.resume(number).await.is_ok()
+                {
                     return Ok(());
                 }
             }

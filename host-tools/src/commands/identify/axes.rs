@@ -11,6 +11,13 @@ use etherpen::config::Config;
 use etherpen::robots::MAIN_AXES;
 use serde::Serialize;
 
+/// Largest difference between what was measured and what was meant, as a share of it.
+const MEASURED_SHARE: f64 = 0.2;
+
+/// What follows after anything was changed: marks that were stored before belong to other motors or directions.
+const AGAIN: &str = "then find the pose anew (home by the switches, or measure the marks: `etherpen home --calibrate --store`), and \
+                     run `etherpen identify --axes` again";
+
 /// What a person saw.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Seen {
@@ -53,12 +60,19 @@ struct Watched {
     tool_mm: [f64; 3],
     /// How far its own encoder moved from one end to the other, in `unit`.
     measured: f64,
-    /// The axis that a person saw move, from 1; absent if none could be told.
+    /// The axis that a person saw move, from 1; null if none could be told.
     moved: Option<u8>,
     /// Whether it went the other way first.
     reversed: bool,
     #[serde(skip)]
     seen: Seen,
+}
+
+impl Watched {
+    /// Whether the axis's own encoder saw the motion.
+    fn has_moved(&self) -> bool {
+        (self.measured / self.by.abs() - 1.0).abs() < MEASURED_SHARE
+    }
 }
 
 /// The result.
@@ -84,19 +98,28 @@ pub(super) fn run(
     let mut operator = Operator::start();
     let views = axes(config);
     let tools = views.len().min(MAIN_AXES);
+    eprintln!(
+        "take the pen out, stand back, a hand on the emergency stop: all axes first bring the tool slowly above the sheet's centre, and \
+         nobody knows yet whether they are right. Enter begins"
+    );
+    operator.answer().ok_or_else(unanswered)?;
     let mut watched = Vec::new();
     for view in views.iter().take(tools) {
         if arguments.axis.is_none_or(|only| usize::from(only) == view.index + 1) {
-            watched.push(watch(config, view, tools as u8, (port, physics), &mut operator)?);
+            watched.push(watch(config, view, views.len() as u8, (port, physics), &mut operator)?);
         }
     }
     if watched.is_empty() {
         let text = "this axis does not move the tool; --axes moves those that do";
         return Err(ProgramError::new(code::USAGE, text));
     }
+    let mut advice = advice(&watched);
+    if !advice.is_empty() {
+        advice.push(AGAIN.to_owned());
+    }
     let answer = Answer {
-        confirmed: watched.iter().all(|axis| axis.seen == Seen::AsTold),
-        advice: advice(&watched),
+        confirmed: watched.iter().all(|axis| axis.seen == Seen::AsTold && axis.has_moved()),
+        advice,
         axes: watched,
     };
     for line in &answer.advice {
@@ -107,7 +130,12 @@ pub(super) fn run(
     }
     match answer.confirmed {
         true => {
-            eprintln!("each axis moves as the configuration says");
+            let names: Vec<String> = answer.axes.iter().map(|axis| axis.axis.to_string()).collect();
+            let rest = match (arguments.axis, views.len() > tools) {
+                (None, true) => format!("; axis {} turns the tool in its place and was not tried", tools + 1),
+                _ => String::new(),
+            };
+            eprintln!("moved as the configuration says: {}{rest}", names.join(", "));
             Ok(())
         }
         false => Err(ProgramError::new(
@@ -115,6 +143,10 @@ pub(super) fn run(
             "not every axis moves as the configuration says; do not draw before that is mended",
         )),
     }
+}
+
+fn unanswered() -> ProgramError {
+    ProgramError::new(code::INTERRUPTED, "ended without an answer")
 }
 
 /// Moves one axis and asks what was seen.
@@ -139,16 +171,16 @@ fn watch(
         motion.by,
         way.join(", ")
     );
-    let job = drive(port, &slow_config(config), motion.path.clone(), physics, Some(operator))?;
+    operator.held = false;
+    let slow = slow_config(config, view.index);
+    let job = drive(port, &slow, motion.path.clone(), physics, Some(operator))?;
     let travelled = motion.travelled_rad(&job.samples);
     let seen = loop {
         eprintln!(
             "did axis {axis} move, and first that way? Enter or y: yes; r: it, but the other way; 1 to {axes}: the axis that moved \
              instead; n: I cannot tell"
         );
-        let said = operator
-            .answer()
-            .ok_or_else(|| ProgramError::new(code::INTERRUPTED, "ended without an answer"))?;
+        let said = operator.answer().ok_or_else(unanswered)?;
         match Seen::parse(&said, axis, axes) {
             Some(seen) => break seen,
             None => eprintln!("\"{}\" is none of the answers", said.trim()),
@@ -180,19 +212,25 @@ fn advice(watched: &[Watched]) -> Vec<String> {
     let line = |watched: &Watched| {
         let axis = watched.axis;
         Some(match watched.seen {
-            Seen::AsTold => return None,
+            Seen::AsTold if watched.has_moved() => return None,
+            Seen::AsTold => format!(
+                "axis {axis} was measured to move by {:.3} {unit} instead of {:.3}: look at its encoder and its gear",
+                watched.measured,
+                watched.by.abs(),
+                unit = watched.unit
+            ),
             Seen::Other(other) if instead_of(other) == Some(axis) && other < axis => return None,
             Seen::Other(other) if instead_of(other) == Some(axis) => format!(
                 "axes {axis} and {other} are exchanged: exchange the places of their drives on the bus, or the motors' cables (power and \
-                 encoder together), and home again"
+                 encoder together)"
             ),
             Seen::Other(other) => format!(
                 "axis {other} moved instead of axis {axis}: [[axes]] stand in the order of the drives on the bus; put the drives, or \
-                 their motors' cables (power and encoder together), into that order, and home again"
+                 their motors' cables (power and encoder together), into that order"
             ),
-            Seen::Reversed => format!(
-                "axis {axis} goes the other way: change the sign of its gear in the configuration, and home again"
-            ),
+            Seen::Reversed => {
+                format!("axis {axis} goes the other way: change the sign of its gear in the configuration")
+            }
             Seen::Unclear => format!(
                 "axis {axis} is not confirmed: look at its drive, its brake and its motor's cable, then `etherpen identify --axes \
                  --axis {axis}` moves it alone"
