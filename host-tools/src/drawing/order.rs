@@ -226,7 +226,6 @@ mod tests {
             let mut drawing = Drawing {
                 sheet_mm: [250.0, 250.0],
                 strokes: (0..columns * rows).map(dash).collect(),
-                ..Drawing::default()
             };
             let options = OrderOptions {
                 join_gap_mm: -1.0,

@@ -1,7 +1,8 @@
 //! A short tour through all strokes: their order, and the end from which each is drawn.
 //!
 //! The shortest links are taken first, as long as they form no ring (greedy matching); the remaining chains are put end
-//! to end. Where walking to the nearest stroke each time is clearly shorter, that is a second start. Exchanging links (2-opt) and moving short runs (or-opt) among near ends then improve the tour. Small
+//! to end. Walking to the nearest stroke each time is a second start where it is clearly
+//! shorter. Exchanging links (2-opt) and moving short runs (or-opt) among near ends then improve the tour. Small
 //! disturbances, kept if they shorten the tour, improve it further (iterated local search; Johnson and McGeoch, *The
 //! Traveling Salesman Problem: A Case Study in Local Optimization*, 1997).
 //!

@@ -4,8 +4,8 @@
 //! robot with equal axes hangs the same with two of them exchanged. Only somebody who sees the machine can tell.
 //!
 //! The path is the way of the tool while one joint turns back and forth, its vertices so close to each other that the other
-//! joints stand still within [`OTHERS_RAD`]. Invariant: the axis may as well go the other way, and another main axis may turn its motor
-//! as far instead: each has room in the work area, above the height of the lifted pen, and goes no farther than is meant.
+//! joints stand still within [`OTHERS_RAD`]. Invariant: the axis may as well go the other way, and the drive of any other main axis may get
+//! the commands instead: each has room in the work area, above the height of the lifted pen, and goes no farther than is meant.
 
 use super::{middle_mm, test_config};
 use crate::axes::{Motion, motion};
@@ -38,6 +38,8 @@ pub struct OneAxis {
     pub tool_mm: [f64; 3],
     /// There and back, twice, with the pen up.
     pub path: Vec<PathVertex>,
+    /// Its part of what is meant, at most 1: as much slower it is.
+    part: f64,
     /// The joints where it begins, rad.
     from_rad: [f64; MAIN_AXES],
 }
@@ -56,18 +58,29 @@ impl OneAxis {
         let lowest_mm = from_mm[2] - clearance_mm;
         let from_rad = area.kinematics().inverse(&Position::from(from_mm));
         let from_rad = from_rad.map_err(|_| "the robot has no pose above the sheet's centre".to_owned())?;
-        let found = [1.0, 0.5, 0.25].into_iter().find_map(|share| {
-            let by_rad = share * meant_rad(config, axis) * part(config, axis);
-            let way = |by_rad| way(&area, from_rad, axis, by_rad, lowest_mm);
-            way(-by_rad)?;
-            Some((by_rad, way(by_rad)?))
-        });
-        let (by_rad, way) = found.ok_or_else(|| {
-            format!(
-                "axis {} has no room above the sheet's centre: it takes some millimetres each way",
-                axis + 1
-            )
-        })?;
+        let mains = 0..MAIN_AXES.min(config.bus.drives.into());
+        let way = |axis, by_rad| way(&area, from_rad, axis, by_rad, lowest_mm);
+        let mut rooms_rad = Vec::new();
+        for axis in mains {
+            let meant_rad = meant_rad(config, axis);
+            let room_rad = [1.0, 0.5, 0.25].into_iter().map(|share| share * meant_rad);
+            let room_rad = room_rad
+                .into_iter()
+                .find(|room| way(axis, *room).is_some() && way(axis, -room).is_some());
+            rooms_rad.push(room_rad.ok_or_else(|| {
+                format!(
+                    "axis {} has no room above the sheet's centre: it takes some millimetres each way",
+                    axis + 1
+                )
+            })?);
+        }
+        let by_rad = shortest_rad(config, axis, &rooms_rad);
+        let part = by_rad / meant_rad(config, axis);
+        if part < PART_MIN {
+            let text = "has to move so little that nobody sees it, for the motor of another axis would go too far if both are exchanged";
+            return Err(format!("axis {} {text}", axis + 1));
+        }
+        let way = way(axis, by_rad).ok_or_else(|| format!("axis {} has no room above the sheet's centre", axis + 1))?;
         // Each vertex once: no end is there twice.
         let there_and_back = || way.iter().skip(1).chain(way.iter().rev().skip(1));
         let path = way.iter().take(1).chain((0..TIMES).flat_map(|_| there_and_back()));
@@ -79,8 +92,22 @@ impl OneAxis {
             by: by_rad * motion(config.geometry.kind(), axis).factor(),
             tool_mm,
             path: path.copied().collect(),
+            part,
             from_rad,
         })
+    }
+
+    /// The configuration for the motion: that of the test motion, slower, and with a turn that stays.
+    #[must_use]
+    pub fn slow_config(&self, config: &Config) -> Config {
+        let mut slow = test_config(config);
+        let motion = &mut slow.motion;
+        let speed_mm_s = SPEED_MM_S * self.part.min(1.0);
+        motion.orientation = Orientation::Constant;
+        motion.speed_mm_s = motion.speed_mm_s.min(speed_mm_s);
+        motion.travel_speed_mm_s = motion.travel_speed_mm_s.min(speed_mm_s);
+        motion.acceleration_mm_s2 = motion.acceleration_mm_s2.min(ACCELERATION_MM_S2);
+        slow
     }
 
     /// How far each main axis was measured to move, from one end to the other, rad, once it was where the motion begins.
@@ -111,14 +138,15 @@ fn meant_rad(config: &Config, axis: usize) -> f64 {
     }
 }
 
-/// The part of it, at most 1, with which no other main axis goes farther than is meant if its motor turns as far instead.
-fn part(config: &Config, axis: usize) -> f64 {
-    let motor_rad = |axis: usize| meant_rad(config, axis) * config.axes[axis].gear.abs();
-    let others = 0..MAIN_AXES.min(config.bus.drives.into());
-    let least = others
-        .map(|other| motor_rad(other) / motor_rad(axis))
-        .fold(1.0, f64::min);
-    least.clamp(PART_MIN, 1.0)
+/// How far an axis goes, rad, so that no main axis leaves its room if its drive gets the commands instead: they are increments of the
+/// encoder.
+fn shortest_rad(config: &Config, axis: usize, rooms_rad: &[f64]) -> f64 {
+    let increments = |axis: usize| {
+        let axis = &config.axes[axis];
+        axis.gear.abs() * f64::from(axis.increments_per_revolution)
+    };
+    let other = |(other, room_rad): (usize, &f64)| room_rad * increments(other) / increments(axis);
+    rooms_rad.iter().enumerate().map(other).fold(f64::INFINITY, f64::min)
 }
 
 /// The vertices while a joint turns by `by_rad`; `None` if one of them is outside the work area or lower than `lowest_mm`.
@@ -145,19 +173,6 @@ fn way(
             })
         })
         .collect()
-}
-
-/// The configuration for the motion of a main axis, from 0: that of the test motion, slower, and with a turn that stays.
-#[must_use]
-pub fn slow_config(config: &Config, axis: usize) -> Config {
-    let mut slow = test_config(config);
-    let motion = &mut slow.motion;
-    let speed_mm_s = SPEED_MM_S * part(config, axis);
-    motion.orientation = Orientation::Constant;
-    motion.speed_mm_s = motion.speed_mm_s.min(speed_mm_s);
-    motion.travel_speed_mm_s = motion.travel_speed_mm_s.min(speed_mm_s);
-    motion.acceleration_mm_s2 = motion.acceleration_mm_s2.min(ACCELERATION_MM_S2);
-    slow
 }
 
 #[cfg(test)]
@@ -205,15 +220,31 @@ mod tests {
         let mut config = MACHINES[1].load().expect("a configuration");
         let by_mm = |config: &Config| OneAxis::new(config, 2).map(|motion| motion.by);
         let usual_mm = by_mm(&config).expect("room");
-        // The height's motor turns four times as often for a millimetre as it did.
-        config.axes[2].gear *= 4.0;
-        let slower_mm = by_mm(&config).expect("room");
-        assert!(slower_mm < 0.6 * usual_mm, "{slower_mm} of {usual_mm} mm");
-        let speed_mm_s = |config: &Config, axis| slow_config(config, axis).motion.travel_speed_mm_s;
-        assert!(speed_mm_s(&config, 2) < 0.6 * speed_mm_s(&config, 0));
+        let speed_mm_s = |config: &Config, axis| {
+            let motion = OneAxis::new(config, axis).expect("room");
+            motion.slow_config(config).motion.travel_speed_mm_s
+        };
+        // The height's motor turns four times as often for a millimetre, or its encoder counts four times as much.
+        for quicker in [true, false] {
+            let mut other = config.clone();
+            match quicker {
+                true => other.axes[2].gear *= 4.0,
+                false => other.axes[2].increments_per_revolution *= 4,
+            }
+            let slower_mm = by_mm(&other).expect("room");
+            assert!(slower_mm < 0.6 * usual_mm, "{slower_mm} of {usual_mm} mm");
+            assert!(speed_mm_s(&other, 2) < 0.6 * speed_mm_s(&config, 2));
+        }
+        config.axes[2].gear *= 0.01;
+        let unseen = OneAxis::new(&config, 0).expect_err("no motion that anybody sees");
+        assert!(unseen.starts_with("axis 1 has to move so little"), "{unseen}");
+        config.axes[2].gear *= 100.0;
+        // x may be the height's motor: it has no more room than the height.
         let lifted_mm = config.paper.pen_down_z_mm + config.paper.pen_lift_mm;
         config.work_area.z_high_mm = lifted_mm + 1.0;
-        let refused = by_mm(&config).expect_err("no room");
-        assert!(refused.starts_with("axis 3 has no room"), "{refused}");
+        for axis in [0, 2] {
+            let refused = OneAxis::new(&config, axis).expect_err("no room");
+            assert!(refused.starts_with("axis 3 has no room"), "{refused}");
+        }
     }
 }

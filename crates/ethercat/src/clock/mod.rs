@@ -258,10 +258,10 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
         self.slaves.get(position).is_some_and(|slave| slave.is_unknown)
     }
 
-    /// Notes that a slave has to be asked for its clock again.
+    /// Notes that a slave has to be asked for its clock again, unless it has the time of the bus.
     pub fn forget(&mut self, position: usize) {
         if let Some(slave) = self.slaves.get_mut(position) {
-            slave.is_unknown = true;
+            slave.is_unknown = !slave.is_set;
         }
     }
 
@@ -411,7 +411,7 @@ async fn set_all<const SLAVES: usize, const MESSAGE: usize>(
         let written = write_offset(port, *station, position, clocks, offset_ns.unwrap_or(0)).await;
         match (written, clocks.slaves.get_mut(position)) {
             (Err(_), Some(slave)) if !is_used(position) => {
-                (slave.width, slave.is_unknown) = (None, true);
+                slave.width = None;
                 if position == reference {
                     return Ok(false);
                 }

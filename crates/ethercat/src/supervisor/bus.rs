@@ -462,14 +462,11 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
     }
 
     /// Number of the next slave behind `last` that did not answer when it was asked for its clock, and may answer now. The time is
-    /// written to such a clock too, and is counted. One in use that waits for its repair is asked then.
+    /// written to such a clock too, and is counted. A slave in use is asked by its repair: its sync signals start with its clock.
     pub(super) fn unknown_clock(&self, last: usize) -> Option<usize> {
         let is_asked = |number: usize| {
             let slave = self.slaves.get(number);
-            slave.is_some_and(|slave| match slave.is_used() {
-                true => slave.condition == Condition::Operational,
-                false => slave.condition != Condition::Lost,
-            })
+            slave.is_some_and(|slave| !slave.is_used() && slave.condition != Condition::Lost)
         };
         self.clocks.unknown(last, is_asked).filter(|_| self.setup.clocks)
     }

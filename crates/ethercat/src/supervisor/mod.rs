@@ -35,7 +35,7 @@ use super::diagnostics::{ServiceError, ServiceRequest, ServiceResult};
 use super::driver::SlaveFactory;
 use super::error::BusError;
 pub use super::event::{BusCommand, BusEvent, BusSetup, Step};
-use super::slave::{Condition, Slave};
+use super::slave::Condition;
 use super::slave_set::SlaveSet;
 use crate::port_state::PortState;
 use crate::state;
@@ -53,8 +53,9 @@ const INSPECTION_PAUSE_MS: u32 = 50;
 const LOOK_PERIOD_MS: u32 = 20;
 /// Shortest pause between two of them, ms.
 const LOOK_PAUSE_MS: u32 = SUSPICION_MS + 2;
-/// Pause between two slaves that are asked again for their clocks, ms.
+/// Pause between two slaves that are asked again for their clocks, ms; it is doubled after each that fails.
 const CLOCK_PAUSE_MS: u32 = 500;
+const CLOCK_PAUSE_MAX_MS: u32 = 32_000;
 /// Time in which a port that has been opened lets frames through, ms.
 const OPENED_MS: u32 = 2;
 const NS_PER_MS: u32 = 1_000_000;
@@ -173,8 +174,9 @@ pub struct Supervisor<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: u
     rescans_failed: u8,
     inspected_ms: u32,
     looked_ms: u32,
-    /// When a slave was last asked for its clock again, and which one.
+    /// When a slave was last asked for its clock again, how long the pause after it is, and which one it was.
     asked_ms: u32,
+    asked_pause_ms: u32,
     asked_last: u8,
     look_next: u8,
     /// Whether the lost link of the running bus was reported.
@@ -224,6 +226,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             inspected_ms: 0,
             looked_ms: 0,
             asked_ms: 0,
+            asked_pause_ms: CLOCK_PAUSE_MS,
             asked_last: 0,
             look_next: 0,
         }
@@ -409,30 +412,29 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         let _ = inbox.guard(expected, Work::Background, work).await;
     }
 
-    /// Asks again for a clock that is not known; until then the time that is distributed is counted wrongly, and counts as lost. A
-    /// slave in use is left to its repair: its sync signals start with its clock.
+    /// Asks again for a clock that is not known; until then the time that is distributed is counted wrongly, and counts as lost.
     async fn ask_for_clock(&mut self) {
         let now_ms = self.bus.port.now_ms();
-        if now_ms.wrapping_sub(self.asked_ms) < CLOCK_PAUSE_MS {
+        if now_ms.wrapping_sub(self.asked_ms) < self.asked_pause_ms {
             return;
         }
         let Some(number) = self.bus.unknown_clock(self.asked_last.into()) else {
             return;
         };
         (self.asked_ms, self.asked_last) = (now_ms, number as u8);
-        if self.bus.slaves.get(number).is_some_and(Slave::is_used) {
-            self.doubt(SlaveSet::of(number)).await;
-            return;
-        }
         let expected = self.disturbed_expectation();
         let Self { bus, inbox, .. } = self;
         let result = {
             let work = pin!(bus.restore_clock(number));
             inbox.guard(expected, Work::Background, work).await
         };
-        if !matches!(result, Ok(Ok(()))) {
-            bus.clocks.forget(number);
-        }
+        self.asked_pause_ms = match result {
+            Ok(Ok(())) => CLOCK_PAUSE_MS,
+            _ => {
+                bus.clocks.forget(number);
+                (2 * self.asked_pause_ms).min(CLOCK_PAUSE_MAX_MS)
+            }
+        };
         bus.clocks.hold(false);
         bus.send_plan().await;
     }
@@ -452,7 +454,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
         expected
     }
 
-    /// Looks through the chain, and brings every slave in use that is not in OP back to OP.
+    /// Looks through the chain, and brings every slave in use that is not in OP, or whose clock or data are not known, back to OP.
     async fn recover(&mut self) {
         self.bus.has_lost = true;
         self.open_ports().await;
@@ -462,7 +464,8 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Supervisor<
             let Some(slave) = self.bus.slaves.get(number).copied() else {
                 continue;
             };
-            let is_well = slave.condition == Condition::Operational && !self.bus.reads_again(number);
+            let is_operational = slave.condition == Condition::Operational;
+            let is_well = is_operational && !self.bus.reads_again(number) && !self.bus.clocks.is_unknown(number);
             if !slave.is_used() || is_well {
                 continue;
             }

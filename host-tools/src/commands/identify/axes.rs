@@ -5,7 +5,7 @@ use crate::axes::{AxisView, Quantity, axes};
 use crate::cell::Physics;
 use crate::commands::operator::Operator;
 use crate::error::{ProgramError, code};
-use crate::identification::one_axis::{OneAxis, slow_config};
+use crate::identification::one_axis::{OTHERS_RAD, OneAxis};
 use crate::link::port::PortName;
 use etherpen::config::Config;
 use etherpen::robots::MAIN_AXES;
@@ -66,12 +66,17 @@ struct Watched {
     reversed: bool,
     #[serde(skip)]
     seen: Seen,
+    /// Its unit for a radian of its joint.
+    #[serde(skip)]
+    per_rad: f64,
 }
 
 impl Watched {
     /// Whether the axis's own encoder saw the motion.
     fn has_moved(&self) -> bool {
-        (self.measured / self.by.abs() - 1.0).abs() < MEASURED_SHARE
+        // The way begins near the first vertex, not at it.
+        let near = OTHERS_RAD * self.per_rad;
+        (self.measured - self.by.abs()).abs() < MEASURED_SHARE * self.by.abs() + near
     }
 }
 
@@ -95,26 +100,39 @@ pub(super) fn run(
     port: Option<&PortName>,
     physics: Physics,
 ) -> Result<(), ProgramError> {
-    let mut operator = Operator::start();
     let views = axes(config);
     let tools = views.len().min(MAIN_AXES);
+    let wanted = |view: &&AxisView| arguments.axis.is_none_or(|only| usize::from(only) == view.index + 1);
+    let mut motions = Vec::new();
+    for view in views.iter().take(tools).filter(wanted) {
+        let motion = OneAxis::new(config, view.index).map_err(|cause| ProgramError::new(code::INPUT, cause))?;
+        motions.push((view, motion));
+    }
+    if motions.is_empty() {
+        let text = "this axis does not move the tool; --axes moves those that do";
+        return Err(ProgramError::new(code::USAGE, text));
+    }
+    let mut operator = Operator::start();
     eprintln!(
         "take the pen out, stand back, a hand on the emergency stop: all axes first bring the tool slowly above the sheet's centre, and \
          nobody knows yet whether they are right. Enter begins"
     );
     operator.answer().ok_or_else(unanswered)?;
     let mut watched = Vec::new();
-    for view in views.iter().take(tools) {
-        if arguments.axis.is_none_or(|only| usize::from(only) == view.index + 1) {
-            watched.push(watch(config, view, views.len() as u8, (port, physics), &mut operator)?);
-        }
-    }
-    if watched.is_empty() {
-        let text = "this axis does not move the tool; --axes moves those that do";
-        return Err(ProgramError::new(code::USAGE, text));
+    for (view, motion) in &motions {
+        watched.push(watch(
+            config,
+            (view, motion),
+            views.len() as u8,
+            (port, physics),
+            &mut operator,
+        )?);
     }
     let mut advice = advice(&watched);
-    if !advice.is_empty() {
+    if watched
+        .iter()
+        .any(|axis| matches!(axis.seen, Seen::Other(_) | Seen::Reversed))
+    {
         advice.push(AGAIN.to_owned());
     }
     let answer = Answer {
@@ -152,13 +170,12 @@ fn unanswered() -> ProgramError {
 /// Moves one axis and asks what was seen.
 fn watch(
     config: &Config,
-    view: &AxisView,
+    (view, motion): (&AxisView, &OneAxis),
     axes: u8,
     (port, physics): (Option<&PortName>, Physics),
     operator: &mut Operator,
 ) -> Result<Watched, ProgramError> {
     let axis = view.index as u8 + 1;
-    let motion = OneAxis::new(config, view.index).map_err(|cause| ProgramError::new(code::INPUT, cause))?;
     let unit = view.motion.unit(Quantity::Position);
     let way = ["x", "y", "z"]
         .iter()
@@ -172,8 +189,13 @@ fn watch(
         way.join(", ")
     );
     operator.held = false;
-    let slow = slow_config(config, view.index);
-    let job = drive(port, &slow, motion.path.clone(), physics, Some(operator))?;
+    let job = drive(
+        port,
+        &motion.slow_config(config),
+        motion.path.clone(),
+        physics,
+        Some(operator),
+    )?;
     let travelled = motion.travelled_rad(&job.samples);
     let seen = loop {
         eprintln!(
@@ -200,6 +222,7 @@ fn watch(
         },
         reversed: seen == Seen::Reversed,
         seen,
+        per_rad: view.motion.factor(),
     })
 }
 
@@ -255,6 +278,7 @@ mod tests {
             moved: None,
             reversed: false,
             seen: *seen,
+            per_rad: 1.0,
         };
         (1..).zip(seen).map(axis).collect()
     }
