@@ -63,8 +63,6 @@ pub struct SlaveClock {
     pub place: u8,
     /// Whether its clock has the time of the bus since it was last switched on.
     pub is_set: bool,
-    /// Whether the slave has not answered when it was asked for its clock. It may have one, to which the time is written too.
-    pub is_unknown: bool,
     /// Port times latched by the last measurement, and whether it latches any; every slave with a clock does.
     pub ports: PortTimes,
     /// The slave's own time when the frame of the measurement passed its processing unit, ns.
@@ -79,16 +77,6 @@ pub struct SlaveClock {
     pub measured: bool,
 }
 
-impl SlaveClock {
-    /// That of a slave which does not answer.
-    pub fn unknown() -> Self {
-        Self {
-            is_unknown: true,
-            ..Self::default()
-        }
-    }
-}
-
 /// The clocks of a bus, in the order of the slaves' numbers.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct BusClocks<const SLAVES: usize> {
@@ -100,6 +88,8 @@ pub struct BusClocks<const SLAVES: usize> {
     pub phase_ns: u32,
     /// Slaves whose clocks had the time of the bus and have run alone since, while that of others went on.
     astray: SlaveSet,
+    /// Slaves that have not answered when they were asked for their clocks. They may have one, to which the time is written too.
+    unknown: SlaveSet,
     /// Number of the slave that distributed its time when the delays were last told.
     told_by: Option<u8>,
     /// Whether clocks before the reference are being set: it only shows its time meanwhile.
@@ -233,7 +223,8 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
     /// Notes what was found at a slave's place: another slave with another clock, or with none, may have taken it.
     pub fn replace(&mut self, position: usize, found: &SlaveClock) {
         let slave = self.slaves.get_mut(position);
-        let kind = |slave: &SlaveClock| (slave.width, slave.ports.has_clock, slave.is_unknown);
+        self.unknown = self.unknown.without(SlaveSet::of(position));
+        let kind = |slave: &SlaveClock| (slave.width, slave.ports.has_clock);
         if let Some(slave) = slave.filter(|slave| kind(slave) != kind(found)) {
             self.was_narrow |= slave.width == Some(Width::Bits32);
             self.astray = self.astray.without(SlaveSet::of(position));
@@ -255,20 +246,24 @@ impl<const SLAVES: usize> BusClocks<SLAVES> {
 
     /// Whether a slave has not answered when it was asked for its clock.
     pub fn is_unknown(&self, position: usize) -> bool {
-        self.slaves.get(position).is_some_and(|slave| slave.is_unknown)
+        position < self.slaves.len() && self.unknown.contains(position)
     }
 
     /// Notes that a slave has to be asked for its clock again, unless it has the time of the bus.
     pub fn forget(&mut self, position: usize) {
-        if let Some(slave) = self.slaves.get_mut(position) {
-            slave.is_unknown = !slave.is_set;
+        if self.slaves.get(position).is_some_and(|slave| !slave.is_set) {
+            self.unknown |= SlaveSet::of(position);
         }
     }
 
-    /// Adds an extra slave behind all others. Does nothing unless `position` is the next place.
-    pub fn add_extra(&mut self, position: usize, found: SlaveClock) {
+    /// Adds an extra slave behind all others; `None` if it did not answer. Does nothing unless `position` is the next place.
+    pub fn add_extra(&mut self, position: usize, found: Option<SlaveClock>) {
         if self.slaves.len() == position {
+            if found.is_none() {
+                self.unknown |= SlaveSet::of(position);
+            }
             let place = position as u8;
+            let found = found.unwrap_or_default();
             // There is an entry for each slave of the bus.
             let _ = self.slaves.push(SlaveClock { place, ..found });
         }
@@ -315,7 +310,10 @@ pub async fn discover<const SLAVES: usize, const MESSAGE: usize>(
             Err(BusError::WorkingCounter { .. }) if !is_used(place.into()) => None,
             found => found?,
         };
-        let found = found.unwrap_or_else(SlaveClock::unknown);
+        if found.is_none() {
+            clocks.unknown |= SlaveSet::of(place.into());
+        }
+        let found = found.unwrap_or_default();
         // The loop ends at the capacity.
         let _ = clocks.slaves.push(SlaveClock { place, ..found });
     }

@@ -775,9 +775,9 @@ fn an_extra_slave_is_counted_and_neither_measured_nor_set() {
     chain
         .run(async |mut port: AcyclicPort<'static, 64>| -> Result<(), BusError> {
             let found = read_clock(&mut port, STATIONS[3]).await?.expect("an answer");
-            clocks.add_extra(5, found);
+            clocks.add_extra(5, Some(found));
             assert_eq!(clocks.slaves.len(), 3, "a place that is not the next one");
-            clocks.add_extra(3, found);
+            clocks.add_extra(3, Some(found));
             restore(&mut port, &STATIONS, &mut clocks, 3, |_| Presence::Used).await?;
             clocks.chain_changed();
             tell_delays(&mut port, &STATIONS, &mut clocks, |_| Presence::Used).await

@@ -4,7 +4,7 @@
 //! show any AL state without disturbing the critical side.
 
 use super::super::acyclic::{AcyclicPort, IN_FLIGHT_MAX, Request};
-use super::super::clock::{self, BusClocks, Presence, SlaveClock};
+use super::super::clock::{self, BusClocks, Presence};
 use super::super::configure::discovery;
 use super::super::cyclic::{CyclicPlan, CyclicSlave, ExchangeKind, PlanError, ReferenceClock, VALUES_MAX, ValueBit};
 use super::super::driver::SlaveFactory;
@@ -457,8 +457,7 @@ impl<'a, F: SlaveFactory, const SLAVES: usize, const MESSAGE: usize> Bus<'a, F, 
             return;
         };
         let found = clock::read_clock(&mut self.port, slave.station()).await;
-        let found = found.ok().flatten();
-        self.clocks.add_extra(number, found.unwrap_or_else(SlaveClock::unknown));
+        self.clocks.add_extra(number, found.ok().flatten());
     }
 
     /// Number of the next slave behind `last` that did not answer when it was asked for its clock, and may answer now. The time is
