@@ -55,7 +55,7 @@ impl Remainder {
         let Some((from, next)) = undone.into_iter().find(|(_, vertex)| vertex.pen == Pen::Down) else {
             return nothing;
         };
-        let Some((start, mut before)) = start_of(path, from, from == executed.max(1), overlap_um) else {
+        let Some((start, before)) = start_of(path, from, from == executed.max(1), overlap_um) else {
             return nothing;
         };
         let lowered = PathVertex {
@@ -69,8 +69,11 @@ impl Remainder {
             ..lowered
         };
         let mut vertices = vec![lifted, lowered];
-        before.retain(|vertex| vertex.position_um != start);
         vertices.extend(before);
+        // The end of the ink may be a vertex of the path: two in one place are one. The path's own vertices all stay.
+        vertices.dedup_by_key(|vertex| vertex.position_um);
+        let meets = |vertex: &PathVertex| vertex.position_um == next.position_um;
+        vertices.pop_if(|vertex| vertex.pen == Pen::Down && meets(vertex));
         vertices.extend_from_slice(path.get(from..).unwrap_or_default());
         Self {
             vertices,
@@ -220,10 +223,19 @@ mod tests {
         };
         let mut random = Lcg::new(1);
         let mut next = |below: usize| random.below(below);
-        for case in 0..500 {
-            let mut path = Vec::new();
+        for case in 0..2_000 {
+            let mut path: Vec<PathVertex> = Vec::new();
+            // In every second case a stroke goes over the same few places again and again.
+            let (places, apart_um) = if case % 2 == 0 { (200_000, 1) } else { (2, 300) };
             for stroke in 0..1 + next(4) as u32 {
-                let mut point = || [next(200_000) as i32, next(200_000) as i32, 0];
+                let mut before = [i32::MIN; 3];
+                let mut point = || {
+                    let here = before;
+                    while before == here {
+                        before = [next(places) as i32 * apart_um, next(places) as i32 * apart_um, 0];
+                    }
+                    before
+                };
                 let start = point();
                 let vertex = |position_um, pen| PathVertex {
                     position_um,
@@ -232,12 +244,12 @@ mod tests {
                 };
                 path.push(vertex([start[0], start[1], LIFT_UM], Pen::Up));
                 path.push(vertex(start, Pen::Up));
-                path.extend((0..4).map(|_| vertex(point(), Pen::Down)));
+                path.extend((0..6).map(|_| vertex(point(), Pen::Down)));
             }
             let legs: Vec<usize> = (0..path.len()).filter(|leg| path[*leg].pen == Pen::Down).collect();
             let leg = legs[next(legs.len())];
             let (from, to) = (path[leg - 1].position_um, path[leg].position_um);
-            let share = next(1_000) as f64 / 1_000.0;
+            let share = [0.0, next(1_000) as f64 / 1_000.0, 1.0][next(3)];
             let end: [i32; 3] =
                 std::array::from_fn(|k| (f64::from(from[k]) + f64::from(to[k] - from[k]) * share).round() as i32);
             let before_um = drawn_um(&path[..leg]) + distance_um(&from, &end);
@@ -263,6 +275,9 @@ mod tests {
                 "case {case}"
             );
             assert_eq!(rest.executed(rest.vertices.len(), 0), path.len(), "case {case}");
+            let pairs = rest.vertices.iter().zip(rest.vertices.iter().skip(1));
+            let repeated = pairs.filter(|(a, b)| a.position_um == b.position_um).count();
+            assert_eq!(repeated, 0, "case {case}: {:?}", rest.vertices);
         }
     }
 }
