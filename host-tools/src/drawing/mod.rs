@@ -64,7 +64,7 @@ pub use subject::{Crop, FACE_PENS_MIN, FACE_PENS_WANTED, Subject, parse_focus};
 pub use svg::{FontFile, TextFont, read_svg, read_svg_with};
 pub use travel::Travel;
 pub use vectorize::{Estimate, VectorizeOptions, estimate, vectorize, vectorize_image, vectorize_subject};
-pub(crate) use vectorize::{panels, vectorize_coarser};
+pub(crate) use vectorize::{in_faces, panels, vectorize_coarser};
 
 use serde::{Deserialize, Serialize};
 

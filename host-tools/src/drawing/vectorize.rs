@@ -21,7 +21,7 @@ mod silhouette;
 mod study;
 
 use frame::Frame;
-pub(crate) use graded::vectorize_coarser;
+pub(crate) use graded::{in_faces, vectorize_coarser};
 pub(crate) use panels::panels;
 use study::Study;
 

@@ -8,7 +8,7 @@ use super::wire::as_sent;
 use crate::drawing::photo::{SIDE_MIN, check_size};
 use crate::drawing::{
     Artwork, Crop, Drawing, DrawingError, Input, Layer, LayerStroke, OrderOptions, Stroke, Subject, Travel,
-    VectorizeOptions, load_content, to_path, vectorize_coarser, vectorize_subject,
+    VectorizeOptions, in_faces, load_content, to_path, vectorize_coarser, vectorize_subject,
 };
 use crate::drawing::{FACE_PENS_MIN, FACE_PENS_WANTED};
 use crate::error::{ProgramError, code};
@@ -158,9 +158,11 @@ pub(crate) fn from_photograph(
     let place_mm = options.picture_mm(picture.width(), picture.height())?;
     let timed = match source.time_budget_s() {
         None => None,
-        Some(budget_s) => time_budget::within(budget_s, config, &order_options(config, source), |widths| {
-            vectorize_coarser(&picture, &subject, &options, widths)
-        })?,
+        Some(budget_s) => {
+            let in_faces = in_faces(&picture, &subject, &options)?;
+            let draw = |widths| vectorize_coarser(&picture, &subject, &options, widths);
+            time_budget::within(budget_s, config, &order_options(config, source), draw, in_faces)?
+        }
     };
     let (drawing, planned_s) = match timed {
         Some(timed) => (timed.drawing, Some(timed.planned_s)),

@@ -1,7 +1,8 @@
 //! Fits a photograph into a drawing time: coarser lines, until the firmware's planner computes a short enough time.
 //!
 //! The picture is drawn as if with a wider pen: lines are farther apart, and finer details are left out, in the whole
-//! picture, but in faces less than elsewhere. The required width is found by planning.
+//! picture, but in faces less than elsewhere. The required width is found by planning; a little too much time is met by
+//! leaving out short strokes, none of a face.
 //!
 //! Invariant: the drawing takes no longer than its time limit, and at least [`SHARE_MIN`] of it unless the whole
 //! picture takes less.
@@ -38,7 +39,8 @@ pub(super) struct Timed {
     pub(super) planned_s: f64,
 }
 
-/// The most detailed drawing that takes no longer than `budget_s`; `draw` makes one for a multiple of the pen's width.
+/// The most detailed drawing that takes no longer than `budget_s`; `draw` makes one for a multiple of the pen's width, and no
+/// stroke whose middle `is_kept` is left out of it.
 ///
 /// # Errors
 /// Errors of `draw` with the real pen, and [`DrawingError::TimeTooShort`].
@@ -47,6 +49,7 @@ pub(super) fn within(
     config: &Config,
     options: &OrderOptions,
     draw: impl Fn(f64) -> Result<Drawing, DrawingError>,
+    is_kept: impl Fn([f64; 2]) -> bool,
 ) -> Result<Option<Timed>, DrawingError> {
     let whole = timed(draw(1.0)?, config, options);
     // A drawing that the robot cannot execute has no time; the check of positions refuses it.
@@ -75,7 +78,7 @@ pub(super) fn within(
         }
         if share > 1.0 {
             if share <= SHARE_THINNED
-                && let Some(thinned) = thinned(&tried, budget_s, config)
+                && let Some(thinned) = thinned(&tried, budget_s, config, &is_kept)
             {
                 return Ok(Some(thinned));
             }
@@ -131,31 +134,39 @@ fn timed(drawing: Drawing, config: &Config, options: &OrderOptions) -> Timed {
     }
 }
 
-/// The drawing without some of the shorter half of its strokes, evenly along its order, so that it meets the time
-/// limit.
-fn thinned(whole: &Timed, budget_s: f64, config: &Config) -> Option<Timed> {
+/// The drawing without some of the shorter half of the strokes that need not be kept, evenly along its order, so that it meets
+/// the time limit.
+fn thinned(whole: &Timed, budget_s: f64, config: &Config, is_kept: &impl Fn([f64; 2]) -> bool) -> Option<Timed> {
     let strokes = &whole.drawing.strokes;
-    if strokes.len() < THINNED_STROKES_MIN {
+    let middle = |stroke: &Stroke| stroke.points.get(stroke.points.len() / 2).copied();
+    let may_go: Vec<bool> = strokes
+        .iter()
+        .map(|stroke| !middle(stroke).is_some_and(is_kept))
+        .collect();
+    let mut lengths: Vec<f64> = (strokes.iter().zip(&may_go))
+        .filter(|(_, may_go)| **may_go)
+        .map(|(stroke, _)| stroke.length_mm())
+        .collect();
+    if lengths.len() < THINNED_STROKES_MIN {
         return None;
     }
-    let mut lengths: Vec<f64> = strokes.iter().map(Stroke::length_mm).collect();
     lengths.sort_by(f64::total_cmp);
     let median_mm = lengths.get(lengths.len() / 2).copied().unwrap_or_default();
     let mut share = 1.6 * (1.0 - SHARE_AIM * budget_s / whole.planned_s);
     for _ in 0..THINNINGS {
         let mut owed = 0.5;
-        let kept = strokes.iter().filter(|stroke| {
-            if stroke.length_mm() > median_mm {
+        let kept = strokes.iter().zip(&may_go).filter(|(stroke, may_go)| {
+            if !**may_go || stroke.length_mm() > median_mm {
                 return true;
             }
             owed += 2.0 * share;
-            let is_kept = owed < 1.0;
-            owed -= if is_kept { 0.0 } else { 1.0 };
-            is_kept
+            let stays = owed < 1.0;
+            owed -= if stays { 0.0 } else { 1.0 };
+            stays
         });
         let drawing = Drawing {
             sheet_mm: whole.drawing.sheet_mm,
-            strokes: kept.cloned().collect(),
+            strokes: kept.map(|(stroke, _)| stroke.clone()).collect(),
         };
         let planned_s = planned_s(config, &travelling(&drawing, config));
         if (SHARE_MIN * budget_s..=budget_s).contains(&planned_s) {

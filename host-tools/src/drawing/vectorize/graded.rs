@@ -63,6 +63,27 @@ pub(crate) fn vectorize_coarser(
     })
 }
 
+/// Whether a point of the sheet, mm, is in the oval of a face whose features are known.
+///
+/// # Errors
+/// The sheet is too small for its margin.
+pub(crate) fn in_faces<'a>(
+    picture: &RgbImage,
+    subject: &'a Subject,
+    options: &VectorizeOptions,
+) -> Result<impl Fn([f64; 2]) -> bool + use<'a>, DrawingError> {
+    let frame = Frame::new(picture.width(), picture.height(), options)?;
+    let px_per_mm = f64::from(picture.width().max(1)) / frame.size_mm[0];
+    Ok(move |at_mm: [f64; 2]| {
+        let at_px = [0, 1].map(|k| (at_mm[k] - frame.corner_mm[k]) * px_per_mm);
+        let known = subject.faces.iter().filter(|face| face.has_features);
+        known.map(|face| face.relative(at_px)).any(|[across, down]| {
+            let end = if down > 0.0 { TO_CHIN } else { ABOVE };
+            across.hypot(down / end) < 1.0
+        })
+    })
+}
+
 /// The corners of the oval of a face, pixels.
 fn oval(face: &Face) -> impl Iterator<Item = [f64; 2]> {
     let ([c, s], centre, radius) = (face.across(), face.centre, face.radius);

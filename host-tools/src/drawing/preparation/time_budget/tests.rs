@@ -189,3 +189,35 @@ fn a_time_that_is_too_short_for_anything_is_refused_with_the_shortest() {
         "{error}"
     );
 }
+
+#[test]
+fn of_a_drawing_that_takes_a_little_too_long_nothing_is_left_out_that_must_be_kept() {
+    let config = Config::default();
+    let order = OrderOptions::default();
+    let mut random = crate::random::Lcg::new(7);
+    let mut somewhere = |below_mm: f64| random.below(1_000) as f64 / 1_000.0 * below_mm;
+    for case in 0..6 {
+        let strokes = (0..160).map(|_| {
+            let at = [20.0 + somewhere(150.0), 20.0 + somewhere(150.0)];
+            let end = [at[0] + 1.0 + somewhere(12.0), at[1] + somewhere(12.0)];
+            Stroke { points: vec![at, end] }
+        });
+        let drawing = Drawing {
+            sheet_mm: [200.0, 200.0],
+            strokes: strokes.collect(),
+        };
+        let whole = timed(drawing, &config, &order);
+        let budget_s = whole.planned_s * (0.9 + 0.015 * f64::from(case));
+        let is_kept = |at: [f64; 2]| at[0] < 80.0;
+        let thinned = thinned(&whole, budget_s, &config, &is_kept).expect("strokes that may go");
+        assert!(thinned.planned_s <= budget_s && thinned.planned_s >= SHARE_MIN * budget_s);
+        let (mut gone, mut kept) = (0, 0);
+        for stroke in &whole.drawing.strokes {
+            let stays = thinned.drawing.strokes.contains(stroke);
+            let must = is_kept(stroke.points[1]);
+            assert!(stays || !must, "case {case}: {stroke:?}");
+            (gone, kept) = (gone + usize::from(!stays), kept + usize::from(must));
+        }
+        assert!(gone > 0 && kept > 20, "case {case}: {gone} gone, {kept} to be kept");
+    }
+}
