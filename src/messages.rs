@@ -24,7 +24,7 @@ use heapless::Vec;
 use serde::{Deserialize, Deserializer, Serialize, Serializer};
 
 /// Version of this protocol; both ends must agree.
-pub const PROTOCOL_VERSION: u16 = 19;
+pub const PROTOCOL_VERSION: u16 = 20;
 /// Slaves described in a status: all that the robot's bus can have.
 pub const SLAVES_REPORTED: usize = BUS_SLAVES_MAX;
 
@@ -216,8 +216,9 @@ pub struct Status {
     pub referenced: bool,
     /// Whether the joint angles were referenced since start-up and no longer are: the robot may be anywhere.
     pub reference_lost: bool,
-    /// Resolver position of each axis within its motor turn, increments; `None` where no position arrives.
-    pub increments: [Option<u32>; AXES],
+    /// Position of each axis as its encoder knows it, increments: within its motor turn, or that of the drive for a multi-turn
+    /// or incremental encoder; `None` where no position arrives.
+    pub increments: [Option<i32>; AXES],
     /// Hash of the configuration in force.
     pub config: Option<u64>,
     /// Path speed override, percent.

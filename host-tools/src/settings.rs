@@ -17,7 +17,7 @@ use crate::axes::as_written;
 use crate::error::{ProgramError, code};
 use crate::link::text;
 use etherpen::config::{Axis, Config, ConfigError, IoError};
-use etherpen::control::robot_axes::resolver_angle_rad;
+use etherpen::control::robot_axes::encoder_angle_rad;
 use etherpen::robots::{AXES, Kind};
 use reading::ReadingError;
 use std::fs::File;
@@ -157,11 +157,12 @@ pub struct Settings {
 }
 
 /// The values of an axis that [`Settings::store_axes`] stores.
-const STORED: [&str; 6] = [
+const STORED: [&str; 7] = [
     "feedback_gain_per_s",
     "feed_forward_gain",
     "feed_forward_lead_ms",
     "position_lead_ms",
+    "serial",
     "sync_angle_rad",
     "sync_increments",
 ];
@@ -173,6 +174,7 @@ fn stored(axis: &Axis) -> [f64; STORED.len()] {
         axis.feed_forward_gain,
         axis.feed_forward_lead_ms,
         axis.position_lead_ms,
+        axis.serial.into(),
         axis.sync_angle_rad,
         axis.sync_increments.into(),
     ]
@@ -188,6 +190,7 @@ fn others(config: &Config) -> Config {
             feed_forward_gain: 0.0,
             feed_forward_lead_ms: 0.0,
             position_lead_ms: 0.0,
+            serial: 0,
             sync_angle_rad: 0.0,
             sync_increments: 0,
             ..*axis
@@ -285,6 +288,7 @@ impl Settings {
             let values = STORED.into_iter().zip(stored(axis).into_iter().zip(stored(before)));
             for (field, (value, _)) in values.filter(|(_, (value, before))| value != before) {
                 match as_written(kind, number, field) {
+                    _ if field == "serial" => self.set_axis(number, field, i64::from(axis.serial))?,
                     _ if field == "sync_increments" => {
                         self.set_axis(number, field, i64::from(axis.sync_increments))?;
                     }
@@ -367,7 +371,7 @@ pub fn check_target(path: &Path, kind: Kind) -> Result<(), ProgramError> {
 pub fn store_reference(
     path: &Path,
     marked: &Config,
-    increments: [u32; AXES],
+    increments: [i32; AXES],
     pose_rad: [f64; AXES],
 ) -> Result<usize, ProgramError> {
     let failed = |cause| ProgramError::failed(format!("{} cannot be changed", path.display()), cause);
@@ -380,7 +384,7 @@ pub fn store_reference(
     let shown = stored.axes.iter().zip(increments).zip(pose_rad);
     let driven = (1..).zip(shown).take(marked.bus.drives.into());
     for (number, ((axis, increments), angle_rad)) in driven.filter(|(_, ((axis, _), _))| axis.home.io.is_none()) {
-        let again_rad = resolver_angle_rad(axis, i64::from(increments), None);
+        let again_rad = encoder_angle_rad(axis, i64::from(increments), None);
         let difference_rad = (again_rad - angle_rad).abs();
         if difference_rad.is_nan() || difference_rad > STORED_DIFFERENCE_MAX_RAD {
             let message = format!(
@@ -450,7 +454,7 @@ mod tests {
             let drives = usize::from(config.bus.drives);
             for (number, axis) in config.axes.iter_mut().enumerate() {
                 axis.sync_angle_rad += 0.0125;
-                axis.sync_increments = 1_000 + number as u32;
+                axis.sync_increments = 1_000 + number as i32;
             }
             assert_eq!(settings.store_axes(&config).unwrap(), 2 * drives, "{}", machine.name);
             let read = settings.config().unwrap();

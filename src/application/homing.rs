@@ -1,15 +1,16 @@
-//! Homing: the joint angles that resolvers show, and the check of a pose before it is taken.
+//! Homing: the joint angles that encoders show, and the check of a pose before it is taken.
 //!
 //! A resolver is absolute within one motor turn; at a gear of 1:12 the same resolver angle repeats every 30 degrees of
 //! the joint. A pose read from marks or measured selects the turn. Two things can be checked: within its turn the
 //! resolver has to show the pose's angle, and if the platform's position was measured too, forward kinematics of the
-//! pose has to give that position. A pose that is wrong by whole turns passes the first check and fails the second.
+//! pose has to give that position. A pose that is wrong by whole turns passes the first check and fails the second. A
+//! multi-turn encoder knows the turn, and fails it in the first; an incremental one knows nothing.
 //!
 //! Invariant: a refused pose names the axis that disagrees most and changes nothing.
 
 use super::Refusal;
-use crate::config::{Axis, Config};
-use crate::control::robot_axes::resolver_angle_rad;
+use crate::config::{Axis, Config, Encoder};
+use crate::control::robot_axes::encoder_angle_rad;
 use crate::robots::{AXES, JointAngles, Kind, Kinematics, MAIN_AXES, Position};
 
 /// Largest difference between a pose and the resolver angles, rad: a tenth of the joint angle after which the resolver
@@ -54,14 +55,18 @@ impl HomingCheck {
         self.kinematics.as_ref().map_or_else(Kind::default, Kinematics::kind)
     }
 
-    /// Resolver positions within their motor turns, increments from 0.
-    pub fn within_turn(&self, increments: &[Option<i64>; AXES]) -> [Option<u32>; AXES] {
-        let mut within = [None; AXES];
-        for ((within, axis), increments) in within.iter_mut().zip(&self.axes).zip(increments) {
+    /// Positions as the encoders know them, increments: of a single-turn encoder within its motor turn, from 0, of others all
+    /// 32 bits of the drive's position.
+    pub fn known(&self, increments: &[Option<i64>; AXES]) -> [Option<i32>; AXES] {
+        let mut known = [None; AXES];
+        for ((known, axis), increments) in known.iter_mut().zip(&self.axes).zip(increments) {
             let revolution = i64::from(axis.increments_per_revolution.max(1));
-            *within = increments.and_then(|increments| u32::try_from(increments.rem_euclid(revolution)).ok());
+            *known = increments.map(|increments| match axis.encoder {
+                Encoder::SingleTurn => increments.rem_euclid(revolution) as i32,
+                Encoder::MultiTurn | Encoder::Incremental => increments as i32,
+            });
         }
-        within
+        known
     }
 
     /// Checks whether the robot may be homed at a pose: `increments` are the resolver positions, `position` is the
@@ -82,7 +87,7 @@ impl HomingCheck {
         let axes = self.axes.iter().zip(increments).zip(pose.0).take(self.used);
         for (number, ((axis, increments), wanted_rad)) in (0u8..).zip(axes) {
             let Some(increments) = increments else { continue };
-            let difference_rad = resolver_angle_rad(axis, *increments, Some(wanted_rad)) - wanted_rad;
+            let difference_rad = encoder_angle_rad(axis, *increments, Some(wanted_rad)) - wanted_rad;
             if difference_rad.abs() > POSE_DIFFERENCE_MAX_RAD {
                 return Err(Refusal::PoseResolver {
                     axis: number,
@@ -150,7 +155,7 @@ mod tests {
         for turns in -2..=2 {
             let pose = JointAngles([0.31, 0.62, 0.1, 4.0].map(|angle| angle + TURN_RAD * f64::from(turns)));
             for ((axis, increments), angle) in config.axes.iter().zip(shown(&pose, &config)).zip(pose.0) {
-                let found = resolver_angle_rad(axis, increments.unwrap(), Some(angle + 0.2));
+                let found = encoder_angle_rad(axis, increments.unwrap(), Some(angle + 0.2));
                 assert!((found - angle).abs() < 1e-5, "{found} for {angle}");
             }
         }
@@ -169,6 +174,27 @@ mod tests {
             check.check(&increments, &wrong, None),
             Err(Refusal::PoseResolver { axis: 2, difference_rad }) if (difference_rad + 0.08).abs() < 1e-4
         ));
+        let mut turned = config.clone();
+        turned
+            .axes
+            .iter_mut()
+            .for_each(|axis| axis.encoder = Encoder::MultiTurn);
+        let on_its_turn = |k: usize| {
+            let axis = &turned.axes[k];
+            let revolution = f64::from(axis.increments_per_revolution);
+            let turns = (pose.0[k] - axis.sync_angle_rad) / TURN_RAD;
+            Some(libm::round(turns * revolution) as i64 + i64::from(axis.sync_increments))
+        };
+        let check_turned = HomingCheck::new(&turned);
+        let known = core::array::from_fn(on_its_turn);
+        assert_eq!(check_turned.check(&known, &pose, None), Ok(()));
+        let mut a_turn_off = pose;
+        a_turn_off.0[1] -= TURN_RAD;
+        let refused = check_turned.check(&known, &a_turn_off, None);
+        assert!(
+            matches!(refused, Err(Refusal::PoseResolver { axis: 1, .. })),
+            "{refused:?}"
+        );
         let mut silent = increments;
         silent[1] = None;
         assert_eq!(check.check(&silent, &pose, None), Err(Refusal::NoPosition { axis: 1 }));
@@ -181,15 +207,21 @@ mod tests {
     fn increments_within_a_turn_are_from_0_and_below_a_revolution() {
         let check = HomingCheck::new(&Config::default());
         let revolution = i64::from(Config::default().axes[0].increments_per_revolution);
-        let within = check.within_turn(&[Some(-1), Some(3 * revolution + 7), Some(5), None]);
-        assert_eq!(within, [Some(revolution as u32 - 1), Some(7), Some(5), None]);
+        let within = check.known(&[Some(-1), Some(3 * revolution + 7), Some(5), None]);
+        assert_eq!(within, [Some(revolution as i32 - 1), Some(7), Some(5), None]);
+        let mut config = Config::default();
+        config.axes[0].encoder = Encoder::MultiTurn;
+        config.axes[1].encoder = Encoder::Incremental;
+        let lap = 1_i64 << 32;
+        let known = HomingCheck::new(&config).known(&[Some(-1), Some(lap + 3 * revolution), None, None]);
+        assert_eq!(known, [Some(-1), Some(3 * revolution as i32), None, None]);
     }
 
     #[test]
     fn an_axis_without_a_resolution_has_no_increments_within_its_turn() {
         let mut config = Config::default();
         config.axes[1].increments_per_revolution = 0;
-        let within = HomingCheck::new(&config).within_turn(&[Some(7), Some(-7), None, None]);
+        let within = HomingCheck::new(&config).known(&[Some(7), Some(-7), None, None]);
         assert_eq!(within, [Some(7), Some(0), None, None]);
     }
 

@@ -23,6 +23,8 @@ pub struct Axis {
     pub revision: u32,
     /// How the axis is homed by a switch.
     pub home: HomeSwitch,
+    /// What the axis's encoder knows when it is switched on.
+    pub encoder: Encoder,
     /// Whether the drive is commanded by velocity, by torque or by position.
     pub mode: AxisMode,
     /// Motor revolutions for one revolution of the joint; negative where the motor turns the other way.
@@ -33,8 +35,8 @@ pub struct Axis {
     pub digits_per_rpm: f64,
     /// Joint angle at the synchronisation mark, radians.
     pub sync_angle_rad: f64,
-    /// Resolver position at the synchronisation mark, increments.
-    pub sync_increments: u32,
+    /// Encoder position at the synchronisation mark, increments; within a motor turn for a single-turn encoder.
+    pub sync_increments: i32,
     /// Feedback gain Kfb, 1/s; in position mode the gain of the drive's own position loop.
     pub feedback_gain_per_s: f64,
     /// Feed-forward gain Kff.
@@ -76,6 +78,19 @@ pub struct Axis {
     pub velocity_integral_per_s: f64,
     /// Time constant of the low-pass on the velocity controller's error, ms; 0 switches it off.
     pub velocity_filter_ms: f64,
+}
+
+/// What an encoder knows of its place when it is switched on.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Encoder {
+    /// Its place within a motor turn, as a resolver does.
+    #[default]
+    SingleTurn,
+    /// Its place within many motor turns. The drive's position must not wrap within the axis's range, but at 32 bits it may.
+    MultiTurn,
+    /// Nothing.
+    Incremental,
 }
 
 /// How an axis is homed by a switch; without an input it is homed by its encoder, at its synchronisation mark.
@@ -165,6 +180,7 @@ impl Default for Axis {
     fn default() -> Self {
         Self {
             home: HomeSwitch::default(),
+            encoder: Encoder::SingleTurn,
             alias: 0,
             switch: 0,
             serial: 0,

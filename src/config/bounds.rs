@@ -4,7 +4,7 @@
 
 use super::pen_lift::PEN_BOUNDS;
 use super::tool::TOOL_BOUNDS;
-use super::{Axis, Bus, Config, PenLiftKind, Transport};
+use super::{Axis, Bus, Config, Encoder, PenLiftKind, Transport};
 use crate::robot_bus::BUS_SLAVES_MAX;
 use crate::robots::{AXES, Kind, MAIN_AXES};
 use core::f64::consts::TAU;
@@ -112,6 +112,16 @@ impl Axis {
         ]
     }
 
+    /// Bound of the encoder's position at the mark: all of a drive's positions, or those of a motor turn.
+    fn mark_bound(&self) -> Bound {
+        let increments = f64::from(self.sync_increments);
+        let (low, high) = match self.encoder {
+            Encoder::SingleTurn => (0.0, f64::from(self.increments_per_revolution) - 1.0),
+            Encoder::MultiTurn | Encoder::Incremental => (i32::MIN.into(), i32::MAX.into()),
+        };
+        bound("axes.sync_increments", increments, low, high)
+    }
+
     /// Bounds of homing by a switch; without a switch every number is allowed.
     fn home_bounds(&self, searched: Searched) -> [Bound; 4] {
         let home = &self.home;
@@ -167,12 +177,7 @@ impl Axis {
             ),
             bound("axes.digits_per_rpm", self.digits_per_rpm, 0.001, 1.0e6),
             bound("axes.sync_angle_rad", self.sync_angle_rad, -6300.0, 6300.0),
-            bound(
-                "axes.sync_increments",
-                f64::from(self.sync_increments),
-                0.0,
-                f64::from(self.increments_per_revolution) - 1.0,
-            ),
+            self.mark_bound(),
             bound("axes.feedback_gain_per_s", self.feedback_gain_per_s, 0.0, 500.0),
             bound("axes.feed_forward_gain", self.feed_forward_gain, 0.0, 2.0),
             bound("axes.feed_forward_lead_ms", self.feed_forward_lead_ms, 0.0, 10.0),

@@ -12,7 +12,7 @@ mod pen_lift;
 mod terminal;
 mod tool;
 
-pub use axis::{Axis, AxisMode, HomeSwitch};
+pub use axis::{Axis, AxisMode, Encoder, HomeSwitch};
 pub use bounds::{ConfigError, Field, QUICK_STOP_MAX_MS};
 pub use bus::{AddressError, Bus, HostAddress, NetworkSettings, Transport};
 pub use etherpen_motion::settings::{Geometry, InputShaper, MotionLimits, Orientation, Paper, Plane, WorkVolume};
@@ -104,7 +104,7 @@ impl Default for Config {
 }
 
 /// Longest encoded configuration, bytes.
-pub const CONFIG_BYTES_MAX: usize = 2076;
+pub const CONFIG_BYTES_MAX: usize = 2084;
 
 impl Config {
     /// Settings of motion.
@@ -541,7 +541,7 @@ mod tests {
         }
         for axis in &mut config.axes {
             axis.increments_per_revolution = 16_777_216;
-            axis.sync_increments = 16_777_215;
+            (axis.encoder, axis.sync_increments) = (Encoder::MultiTurn, i32::MIN);
         }
         config.bus.segment = Ipv4Addr::new(223, 255, 255, 255);
         assert_eq!((config.check(), config.check_io()), (Ok(()), Ok(())));

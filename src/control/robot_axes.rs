@@ -12,7 +12,7 @@ mod findings;
 
 pub use findings::{HomingError, Reading};
 
-use crate::config::{Axis, AxisMode};
+use crate::config::{Axis, AxisMode, Encoder};
 use crate::control::feedback::{COMPARISONS, FeedbackMonitor, Implausible};
 use crate::control::limit::limited;
 use crate::control::position::error_removed_rad;
@@ -22,7 +22,7 @@ use crate::drives::io::{GroupDrive, IoGroup, PositionIo, TorqueIo, VelocityIo};
 use crate::drives::{AxisLimits, DriveInput, DriveOutput, ServoAxis};
 use crate::robots::{AXES, JointAngles};
 use core::f64::consts::TAU;
-pub use encoder::resolver_angle_rad;
+pub use encoder::encoder_angle_rad;
 use encoder::{float, turned};
 
 /// Longest gap of positions in motion after which the turns still count as known, ms: half a motor turn takes 10 ms at
@@ -191,7 +191,9 @@ impl AxisState {
             let shown = input.position.wrapping_sub(self.raw);
             let difference = turned(shown, self.increments_per_revolution);
             self.position += i64::from(difference);
-            if shown != difference && self.drive.has_left_range(shown, difference) {
+            // A position that starts again after a turn is not that of a multi-turn encoder.
+            let is_repeated = self.config.encoder == Encoder::MultiTurn;
+            if shown != difference && (is_repeated || self.drive.has_left_range(shown, difference)) {
                 self.lose_home();
                 self.home_lost |= self.searches;
             }
@@ -470,8 +472,8 @@ impl RobotAxes {
             .map_or(DriveState::NotReadyToSwitchOn, |axis| axis.drive.state())
     }
 
-    /// Finds the pose from the present positions: each axis is within half a motor turn of the pose `near`, or of
-    /// its synchronisation mark, and takes the resolver's angle nearest to it.
+    /// Finds the pose from the present positions: each axis takes the angle of its [encoder](encoder_angle_rad), on the motor
+    /// turn nearest to the pose `near`, or to its synchronisation mark, if the encoder does not know the turn.
     ///
     /// # Errors
     /// [`HomingError`]; no axis is homed then, because the previous pose was to be corrected.
@@ -482,7 +484,7 @@ impl RobotAxes {
         }
         for (number, axis) in self.axes.iter_mut().enumerate() {
             let near_rad = near.and_then(|pose| pose.0.get(number).copied());
-            let angle_rad = resolver_angle_rad(&axis.config, i64::from(axis.raw), near_rad);
+            let angle_rad = encoder_angle_rad(&axis.config, i64::from(axis.raw), near_rad);
             axis.zero = Some(float(axis.position) - angle_rad * axis.increments_per_rad);
             axis.home_lost = false;
         }

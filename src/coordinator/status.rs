@@ -94,10 +94,10 @@ impl Coordinator<'_> {
         }
     }
 
-    /// Resolver positions within a motor turn.
-    fn increments(&self) -> [Option<u32>; AXES] {
+    /// Positions as the encoders know them.
+    fn increments(&self) -> [Option<i32>; AXES] {
         match (&self.homing_check, &self.report) {
-            (Some(check), Some(report)) => check.within_turn(&report.shown()),
+            (Some(check), Some(report)) => check.known(&report.shown()),
             _ => [None; AXES],
         }
     }

@@ -95,7 +95,7 @@ fn full_status() -> Status {
         waiting_for: Some(u8::MAX),
         referenced: true,
         reference_lost: true,
-        increments: [Some(u32::MAX); 4],
+        increments: [Some(i32::MIN); 4],
         config: Some(u64::MAX),
         override_percent: 100,
         counters: Counters {

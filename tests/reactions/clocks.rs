@@ -88,6 +88,11 @@ again! {
         a_limit_switch_that_opens_while_drawing_stops_the_motors_and_names_its_axis,
         a_terminal_of_limit_switches_that_fails_is_a_fault,
         homing_takes_no_notice_of_limit_switches_and_motion_after_it_does;
+    encoder_turns [crate::encoder_turns]
+        multi_turn_encoders_show_where_the_machine_was_pushed_and_others_do_not,
+        a_machine_pushed_by_turns_draws_where_it_should_with_multi_turn_encoders,
+        a_pose_a_turn_away_from_what_a_multi_turn_encoder_shows_is_refused_and_an_incremental_one_takes_any,
+        a_position_that_starts_again_after_a_turn_is_not_believed_to_be_multi_turn;
     other_side [crate::other_side]
         a_joint_pushed_to_the_other_side_is_told_and_the_robot_works_again_once_it_is_pushed_back;
     outside [crate::outside]

@@ -13,6 +13,7 @@ mod bursts;
 mod clocks;
 mod commands;
 mod dense;
+mod encoder_turns;
 mod feedback;
 mod feedback_scan;
 mod feedback_soak;

@@ -237,7 +237,7 @@ fn with_ends_in_a_drawing(speed_mm_s: f64) -> (Config, [f64; AXES]) {
     for (axis, end_rad) in config.axes.iter_mut().zip(ends) {
         let turns = (axis.sync_angle_rad - end_rad) * axis.gear / TAU;
         let increments = f64::from(axis.increments_per_revolution);
-        axis.sync_increments = (turns.rem_euclid(1.0) * increments) as u32;
+        axis.sync_increments = (turns.rem_euclid(1.0) * increments) as i32;
     }
     (config, ends)
 }

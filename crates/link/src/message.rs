@@ -9,7 +9,7 @@ use heapless::{String, Vec};
 use serde::{Deserialize, Serialize};
 
 /// Longest encoded message before framing, bytes.
-pub const MESSAGE_BYTES_MAX: usize = 2080;
+pub const MESSAGE_BYTES_MAX: usize = 2088;
 /// Vertices in one path message.
 pub const VERTICES_PER_MESSAGE: usize = 16;
 /// Samples in one telemetry message.

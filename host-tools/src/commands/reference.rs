@@ -1,5 +1,7 @@
-//! `etherpen reference`, `etherpen home`: finds the pose by the home switches, or takes the resolvers' angles as the robot's, at the
+//! `etherpen reference`, `etherpen home`: finds the pose by the home switches, or takes the encoders' angles as the robot's, at the
 //! marks or at a known pose, and stores them.
+
+mod multi_turn;
 
 use super::ports::SessionPort;
 use super::{CellArguments, ConfigArguments, home, print_json};
@@ -30,7 +32,8 @@ const SIMULATED_MAX_MS: u32 = 300_000;
 ///
 /// A resolver is absolute within one motor turn; at a gear of 1:12 a joint repeats every 30 degrees. Without --pose and
 /// --position, the joints must be within half a motor turn (15 degrees) of their synchronisation marks. If another
-/// program has the port, the reference is taken through it.
+/// program has the port, the reference is taken through it. A multi-turn encoder knows the turn by itself; --store also stores its
+/// drive's serial number, so that another drive is refused. An incremental encoder knows nothing: its joint must be at its mark.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     /// Try it on the virtual cell, in virtual time.
@@ -100,8 +103,8 @@ struct AxisResult {
     /// Position of a linear axis.
     #[serde(skip_serializing_if = "Option::is_none")]
     position_mm: Option<f64>,
-    /// What the resolver shows within its motor turn.
-    increments: u32,
+    /// What the encoder shows: within its motor turn, or all that a multi-turn or incremental one does.
+    increments: i32,
 }
 
 impl AxisResult {
@@ -124,7 +127,7 @@ impl AxisResult {
             }
         };
         format!(
-            "axis {}    {place}, {:>7} increments at the resolver\n",
+            "axis {}    {place}, {:>7} increments at the encoder\n",
             self.axis, self.increments
         )
     }
@@ -171,7 +174,9 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         );
     }
     if let Some(path) = store.filter(|_| switched.len() < answer.axes.len()) {
-        let changed = store_reference(&path, &found.marked(), found.increments, found.pose.0)?;
+        let mut marked = found.marked();
+        multi_turn::name_drives(arguments, &mut marked)?;
+        let changed = store_reference(&path, &marked, found.increments, found.pose.0)?;
         eprintln!(
             "{} changed in {}, read back and checked.",
             counted(changed, "value"),

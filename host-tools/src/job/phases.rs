@@ -6,6 +6,7 @@ use super::task::{DrawTask, Motion, Ready, Task};
 use crate::link::measurement::Reader;
 use crate::link::text;
 use etherpen::application::Mode;
+use etherpen::config::{Axis, Encoder};
 use etherpen::link::message::PathAck;
 use etherpen::messages::Command;
 
@@ -265,13 +266,17 @@ impl Job {
         }
     }
 
-    /// Homes the joints, at their marks or by their switches; fails if the reference at marks was lost or
-    /// the drawing does not allow it.
+    /// Homes the joints, by their encoders, at their marks or by their switches; fails if the reference at marks was lost, if the
+    /// drawing does not allow it and not all encoders know the pose, or if nothing shows that an axis is at its mark.
     fn reference(&mut self, mode: Mode) {
         let by_switches = self.config.has_home_switches();
         let is_lost = self.status.as_ref().is_some_and(|status| status.reference_lost);
         let is_elsewhere = matches!(&self.task, Task::Draw(drawing) if !drawing.may_reference);
-        if is_lost && !by_switches || is_elsewhere {
+        let axes = self.config.axes.iter().take(self.config.bus.drives.into());
+        let knows_pose = axes.clone().all(|axis| axis.encoder == Encoder::MultiTurn);
+        let is_blind = |axis: &Axis| axis.encoder == Encoder::Incremental && axis.home.io.is_none();
+        let is_unknown = !self.searches_anew() && axes.clone().any(is_blind);
+        if is_lost && !by_switches || is_elsewhere && !knows_pose || is_unknown {
             self.ending.get_or_insert(JobError::NotReferenced);
             return;
         }

@@ -10,8 +10,8 @@ use super::{BUS_MAX_MS, SILENCE_MAX_MS, STEP_MAX_MS};
 use crate::link::session::{Event, Session};
 use crate::simulation::Host;
 use etherpen::application::{Mode, Refusal};
-use etherpen::config::Config;
-use etherpen::control::robot_axes::resolver_angle_rad;
+use etherpen::config::{Config, Encoder};
+use etherpen::control::robot_axes::encoder_angle_rad;
 use etherpen::messages::{Command, Sample, Status};
 use etherpen::robots::{AXES, JointAngles, MAIN_AXES, Position};
 
@@ -52,8 +52,8 @@ pub struct Wanted {
 }
 
 impl Wanted {
-    /// The command for the firmware if its resolvers show these increments.
-    pub(crate) fn command(&self, config: &Config, increments: &[u32; AXES]) -> Command {
+    /// The command for the firmware if its encoders show these increments.
+    pub(crate) fn command(&self, config: &Config, increments: &[i32; AXES]) -> Command {
         match (self.known_pose(config, increments), self.position) {
             (None, None) => Command::Home,
             (Some(pose), position) => Command::HomeAt { pose, position },
@@ -66,7 +66,7 @@ impl Wanted {
     }
 
     /// The known pose, if there is one.
-    fn known_pose(&self, config: &Config, increments: &[u32; AXES]) -> Option<JointAngles> {
+    fn known_pose(&self, config: &Config, increments: &[i32; AXES]) -> Option<JointAngles> {
         match self.pose {
             Pose::Marks => None,
             Pose::Joints(pose) => Some(pose),
@@ -80,12 +80,12 @@ impl Wanted {
     }
 }
 
-/// Angles for these resolver increments, on the turns nearest to other angles or to the marks.
-fn angles(config: &Config, increments: &[u32; AXES], near_rad: [Option<f64>; AXES]) -> JointAngles {
+/// Angles for these increments, on the turns nearest to other angles or to the marks where the encoders do not know them.
+fn angles(config: &Config, increments: &[i32; AXES], near_rad: [Option<f64>; AXES]) -> JointAngles {
     let shown = config.axes.iter().zip(increments).zip(near_rad);
     let mut angles = JointAngles::default();
     for (angle, ((axis, increments), near_rad)) in angles.0.iter_mut().zip(shown) {
-        *angle = resolver_angle_rad(axis, i64::from(*increments), near_rad);
+        *angle = encoder_angle_rad(axis, i64::from(*increments), near_rad);
     }
     angles
 }
@@ -122,8 +122,8 @@ impl Reading {
 pub struct Referenced {
     /// Joint angles, rad.
     pub pose: JointAngles,
-    /// Resolver positions within their motor turns, increments.
-    pub increments: [u32; AXES],
+    /// Positions as the encoders know them, increments.
+    pub increments: [i32; AXES],
     /// The configuration in effect; with new synchronisation values after a calibration.
     pub config: Config,
 }
@@ -136,12 +136,15 @@ impl Referenced {
     }
 }
 
-fn marked(config: &Config, pose: &JointAngles, increments: &[u32; AXES]) -> Config {
+fn marked(config: &Config, pose: &JointAngles, increments: &[i32; AXES]) -> Config {
     let mut marked = config.clone();
     let axes = marked.axes.iter_mut().zip(pose.0).zip(increments);
     for ((axis, angle_rad), increments) in axes.filter(|((axis, _), _)| axis.home.io.is_none()) {
         axis.sync_angle_rad = angle_rad;
-        axis.sync_increments = *increments;
+        // What an incremental encoder shows is another number after each start.
+        if axis.encoder != Encoder::Incremental {
+            axis.sync_increments = *increments;
+        }
     }
     marked
 }
@@ -372,9 +375,9 @@ impl ReferenceJob {
     }
 }
 
-/// Resolver positions of all axes, once all of them have one.
-pub(crate) fn all(increments: &[Option<u32>; AXES]) -> Option<[u32; AXES]> {
-    let shown: Vec<u32> = increments.iter().copied().flatten().collect();
+/// Positions of all axes, once all of them have one.
+pub(crate) fn all(increments: &[Option<i32>; AXES]) -> Option<[i32; AXES]> {
+    let shown: Vec<i32> = increments.iter().copied().flatten().collect();
     shown.try_into().ok()
 }
 

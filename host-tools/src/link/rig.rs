@@ -70,7 +70,7 @@ pub(crate) struct Rig {
     pub(crate) fault_at_vertex: Option<u32>,
     pub(crate) refuse_vertex: Option<u32>,
     pub(crate) referenced: bool,
-    pub(crate) increments: [Option<u32>; 4],
+    pub(crate) increments: [Option<i32>; 4],
     pub(crate) refuse_reference: Option<Refusal>,
     /// How long an acknowledgement waits for a slave that starts up, ms.
     pub(crate) slow_start_ms: u64,

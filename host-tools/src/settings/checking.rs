@@ -14,7 +14,7 @@ use super::shortened;
 use crate::axes::{AxisView, Motion, Quantity, axes};
 use crate::link::text;
 use etherpen::config::{
-    Config, ConfigError, IoError, IoRole, IoType, SAMPLE_WORD_BYTES_MAX, SAMPLE_WORDS_MAX, ToolFollows,
+    Axis, Config, ConfigError, Encoder, IoError, IoRole, IoType, SAMPLE_WORD_BYTES_MAX, SAMPLE_WORDS_MAX, ToolFollows,
 };
 use etherpen::motion::{WorkArea, effective_jerk_window_ms};
 use etherpen::robots::{GeometryError, Kinematics, MAIN_AXES, Position};
@@ -520,6 +520,9 @@ impl Checks<'_> {
                 text,
             });
         };
+        if let Some(text) = encoder_text(axis, settings) {
+            warn(self.places.of_axis(axis.index, &["encoder"]), text);
+        }
         if settings.output_max_rad_s < speed_rad_s {
             let key = if axis.motion == Motion::Linear {
                 "output_max_mm_s"
@@ -590,6 +593,23 @@ impl Checks<'_> {
                 });
             }
         }
+    }
+}
+
+/// What has to be done for an axis's encoder.
+fn encoder_text(axis: &AxisView, settings: &Axis) -> Option<String> {
+    let (number, name) = (axis.index + 1, &axis.name);
+    match settings.encoder {
+        _ if settings.home.io.is_some() => None,
+        Encoder::MultiTurn if settings.serial == 0 => Some(format!(
+            "the multi-turn encoder of axis {number} ({name}) belongs to one drive, and serial does not say to which: another \
+             drive would go unnoticed; home once with etherpen home --calibrate --store, which writes it"
+        )),
+        Encoder::Incremental => Some(format!(
+            "axis {number} ({name}) has an incremental encoder and no home switch: bring it to its mark by hand and say etherpen \
+             home whenever it was switched on, or give it a home switch"
+        )),
+        Encoder::SingleTurn | Encoder::MultiTurn => None,
     }
 }
 

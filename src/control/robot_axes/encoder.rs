@@ -1,6 +1,6 @@
 //! Arithmetic of encoder positions.
 
-use crate::config::Axis;
+use crate::config::{Axis, Encoder};
 use core::f64::consts::TAU;
 
 /// Maps an encoder's difference over a cycle to the nearest one within half a revolution.
@@ -37,17 +37,25 @@ pub(super) fn nearest_turn(difference: i64, revolution: i64) -> i64 {
     difference - turns as i64 * revolution
 }
 
-/// Angle of a joint whose single-turn resolver shows `increments`, rad, on the turn nearest to `near_rad`, or nearest
-/// to the synchronisation mark if `near_rad` is `None`.
-pub fn resolver_angle_rad(axis: &Axis, increments: i64, near_rad: Option<f64>) -> f64 {
+/// Angle of a joint whose encoder shows `increments`, rad.
+///
+/// A single-turn encoder tells it on the turn nearest to `near_rad`, or nearest to the synchronisation mark if `near_rad` is
+/// `None`. A multi-turn encoder tells it alone; of `increments` the lower 32 bits count, those of the drive's position. An
+/// incremental one tells nothing: the joint is at `near_rad`, or at the mark.
+pub fn encoder_angle_rad(axis: &Axis, increments: i64, near_rad: Option<f64>) -> f64 {
     let revolution = i64::from(axis.increments_per_revolution.max(1));
     let off_mark = increments - i64::from(axis.sync_increments);
-    let off_mark = nearest_turn(off_mark, revolution);
     let turn_rad = TAU / axis.gear;
-    let at_mark_rad = axis.sync_angle_rad + turn_rad * (off_mark as f64 / revolution as f64);
-    match near_rad {
-        Some(near_rad) => at_mark_rad + turn_rad * libm::round((near_rad - at_mark_rad) / turn_rad),
-        None => at_mark_rad,
+    let angle_rad = |off_mark: i64| axis.sync_angle_rad + turn_rad * (off_mark as f64 / revolution as f64);
+    match axis.encoder {
+        Encoder::SingleTurn => {
+            let at_mark_rad = angle_rad(nearest_turn(off_mark, revolution));
+            near_rad.map_or(at_mark_rad, |near_rad| {
+                at_mark_rad + turn_rad * libm::round((near_rad - at_mark_rad) / turn_rad)
+            })
+        }
+        Encoder::MultiTurn => angle_rad(i64::from(off_mark as i32)),
+        Encoder::Incremental => near_rad.unwrap_or(axis.sync_angle_rad),
     }
 }
 
@@ -61,8 +69,55 @@ mod tests {
             increments_per_revolution: 0,
             ..Axis::default()
         };
-        for near_rad in [None, Some(0.5)] {
-            assert!(resolver_angle_rad(&axis, 12_345, near_rad).is_finite());
+        for encoder in [Encoder::SingleTurn, Encoder::MultiTurn, Encoder::Incremental] {
+            let axis = Axis { encoder, ..axis };
+            for near_rad in [None, Some(0.5)] {
+                assert!(encoder_angle_rad(&axis, 12_345, near_rad).is_finite());
+            }
+        }
+    }
+
+    #[test]
+    fn a_multi_turn_encoder_tells_the_turn_across_the_end_of_32_bits_too_whatever_is_near() {
+        for gear in [12.0, -7.5] {
+            for sync_increments in [0, 5, i32::MAX, i32::MIN, -1, 1_900_000_000] {
+                let axis = Axis {
+                    encoder: Encoder::MultiTurn,
+                    gear,
+                    increments_per_revolution: 1 << 20,
+                    sync_angle_rad: 0.3,
+                    sync_increments,
+                    ..Axis::default()
+                };
+                for turns in [-900.0, -3.25, 0.0, 0.5, 1.75, 1_000.0] {
+                    let off_mark = (turns * f64::from(1 << 20)) as i32;
+                    let shown = i64::from(sync_increments.wrapping_add(off_mark));
+                    let expected_rad = 0.3 + TAU / gear * turns;
+                    for near_rad in [None, Some(0.3), Some(50.0)] {
+                        // Whatever the firmware has counted above 32 bits.
+                        for lap in [0, 1_i64 << 32, -(1_i64 << 32)] {
+                            let found_rad = encoder_angle_rad(&axis, shown + lap, near_rad);
+                            assert!(
+                                (found_rad - expected_rad).abs() < 1e-9,
+                                "{gear} {sync_increments} {turns}"
+                            );
+                        }
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn an_incremental_encoder_tells_nothing() {
+        let axis = Axis {
+            encoder: Encoder::Incremental,
+            sync_angle_rad: 0.3,
+            ..Axis::default()
+        };
+        for increments in [0, 77, -5_000_000] {
+            assert_eq!(encoder_angle_rad(&axis, increments, None), 0.3);
+            assert_eq!(encoder_angle_rad(&axis, increments, Some(1.1)), 1.1);
         }
     }
 }

@@ -20,7 +20,7 @@ pub struct DriveOptions {
     /// Position increments of one motor revolution; 0 counts as 1.
     pub increments_per_revolution: u32,
     /// Position of the drive at the angle 0, increments.
-    pub zero_increments: u32,
+    pub zero_increments: i32,
     /// Digits of the velocity demand for one revolution per minute.
     pub digits_per_rpm: f64,
     /// Quick-stop deceleration until a master writes another one, rad/s2.

@@ -53,7 +53,7 @@ struct Answer<'a> {
     joints: PerAxis,
     position_mm: Option<[f64; 3]>,
     pen: Option<Pen>,
-    increments: Option<Vec<Option<u32>>>,
+    increments: Option<Vec<Option<i32>>>,
     counters: Option<Counters>,
     drives: Vec<Drive>,
     /// The named inputs and outputs of terminals.
