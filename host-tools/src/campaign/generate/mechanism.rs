@@ -4,7 +4,7 @@
 //! The sheet stays where it is, and the robot has to reach all of it.
 
 use super::super::chance::Chance;
-use super::super::episode::Episode;
+use super::super::episode::{Episode, Event, What};
 use super::super::robot;
 use super::setup::END_RAD;
 use crate::axes::{Motion, motion};
@@ -42,6 +42,10 @@ const RESOLUTIONS: [i64; 9] = [
     10_000_000,
     1 << 24,
 ];
+/// Gives what encoders know random numbers of its own.
+const KNOWLEDGE_SEED: u64 = 0x0E4C_0DE2_0000;
+/// Faults in which an encoder shows another position than the motor's.
+const UNTRUE: [&str; 6] = ["stuck", "slip", "jump", "reverse", "noise", "exchange"];
 /// Values of an axis's encoder.
 const ENCODER: [&str; 2] = ["increments_per_revolution", "sync_increments"];
 /// Travel of a search for a home switch, in ways from one end of the axis to the other.
@@ -240,6 +244,39 @@ fn regear(episode: &mut Episode, chance: &mut Chance) {
         if episode.configuration().is_err() {
             let is_of_these = |place: &str| names.iter().any(|name| place.ends_with(&format!(".{name}")));
             episode.config.retain(|place, _| !is_of_these(place));
+        }
+    }
+}
+
+/// Gives axes encoders that know more or less than those of most machines: incremental ones where there is a home switch, and
+/// multi-turn ones with any offset where the drives show all of their position, unless one slips or shows something else.
+pub(super) fn change_encoders(episode: &mut Episode, seed: u64) {
+    let mut chance = Chance::new(seed ^ KNOWLEDGE_SEED);
+    let Ok(usual) = episode.configuration() else { return };
+    if !chance.one_in(3) {
+        return;
+    }
+    let shows_other = |event: &Event| match &event.what {
+        What::Fault(words) => UNTRUE.iter().any(|word| words.starts_with(word)),
+        _ => false,
+    };
+    let used = usual.axes.iter().take(usual.bus.drives.into());
+    let counts_turns = used.clone().all(|axis| axis.mode == AxisMode::Position);
+    let is_true = !episode.events.iter().any(shows_other);
+    for (number, axis) in used.enumerate() {
+        let mark = chance.one_of(&[0, i64::from(i32::MAX), i64::from(i32::MIN), -1])
+            + chance.one_of(&[0, 1]) * chance.below(1 << 30) as i64 * chance.one_of(&[-1, 1]);
+        let (encoder, mark) = match axis.home.io {
+            Some(_) if chance.one_in(2) => ("incremental", 0),
+            None if counts_turns && is_true => ("multi-turn", i64::from(mark as i32)),
+            _ => continue,
+        };
+        let values = [
+            ("encoder", Value::String(encoder.into())),
+            ("sync_increments", Value::Integer(mark)),
+        ];
+        for (name, value) in values {
+            episode.config.insert(format!("axes.{number}.{name}"), value);
         }
     }
 }

@@ -86,6 +86,7 @@ pub fn episode(machine: &Machine, seed: u64, profile: Profile) -> Episode {
         mishaps::befall(&mut episode, &machine.config.motion, seed);
         setup::keep_valid(&mut episode);
         mechanism::vary(&mut episode, seed);
+        mechanism::change_encoders(&mut episode, seed);
         return episode;
     }
     setup::vary(&mut episode, machine, seed, &mut chance);
@@ -106,6 +107,7 @@ pub fn episode(machine: &Machine, seed: u64, profile: Profile) -> Episode {
         seldom::lone(&mut episode, machine, seed, profile);
         episode.events.sort_by_key(|event| event.at_ms);
     }
+    mechanism::change_encoders(&mut episode, seed);
     // Last: quick stops become weaker before.
     switches::make_room_behind(&mut episode);
     episode

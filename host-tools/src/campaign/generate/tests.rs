@@ -3,7 +3,7 @@ use crate::campaign::machine::DEFAULT_MACHINE;
 use crate::cell::SlaveKind;
 use crate::settings::checking;
 use crate::settings::machines::MACHINES;
-use etherpen::config::{Config, PenLiftKind};
+use etherpen::config::{AxisMode, Config, Encoder, PenLiftKind};
 use etherpen::control::search::Approach;
 use etherpen::ethercat::cyclic::ExchangeKind;
 use etherpen::motion::WorkArea;
@@ -149,6 +149,28 @@ fn gears_turn_either_way_and_encoders_have_any_resolution_and_mark() {
         );
         assert!(backwards >= 20 && marked >= 50, "{name}: {backwards} and {marked}");
     }
+}
+
+#[test]
+fn encoders_know_all_turns_or_nothing_where_the_machine_can_be_homed_so() {
+    let [mut multi_turn, mut incremental, mut far] = [0; 3];
+    for machine in MACHINES.map(|machine| self::machine(machine.name)) {
+        for config in configurations(&machine) {
+            for axis in config.axes.iter().take(machine.axes()) {
+                match axis.encoder {
+                    Encoder::SingleTurn => continue,
+                    Encoder::MultiTurn => multi_turn += 1,
+                    Encoder::Incremental => incremental += 1,
+                }
+                far += u32::from(axis.sync_increments.unsigned_abs() > 1 << 30);
+                let is_searched = axis.home.io.is_some();
+                assert_eq!(is_searched, axis.encoder == Encoder::Incremental);
+                assert!(is_searched || axis.mode == AxisMode::Position);
+            }
+        }
+    }
+    println!("{multi_turn} multi-turn, {far} of them near an end of 32 bits, {incremental} incremental");
+    assert!(multi_turn >= 50 && far >= 20 && incremental >= 50);
 }
 
 #[test]
