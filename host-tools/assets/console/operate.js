@@ -2,7 +2,7 @@
 //
 // The firmware's mode determines what may be pressed; its state shows what happened.
 
-import { $, duration, element, number, text } from "./dom.js";
+import { $, duration, element, number, set, text } from "./dom.js";
 import { layerText } from "./jobs.js";
 
 const JOG_MS = 40;
@@ -112,6 +112,9 @@ function buttons(link) {
     $("enable").classList.toggle("primary", !link.allows("disable"));
     $("reference").disabled = !may("reference") || active;
     $("reference").classList.toggle("primary", link.state.status?.referenced === false);
+    const encoders = link.state.status?.encoders ?? [];
+    const shown = ({ axis, increments }) => `${axis}: ${increments === null ? "no position" : increments.toLocaleString("en").replace("-", "−")}`.replaceAll(" ", "\u00a0");
+    set($("encoders"), { hidden: !encoders.length, textContent: `Not homed. Encoders, increments: ${encoders.map(shown).join(" · ")}` });
     $("hold").disabled = !may("hold");
     $("resume").disabled = !may("resume");
     $("cancel").disabled = !(link.controls && (link.allows("cancel") || drawing));
@@ -257,8 +260,10 @@ function positions(link) {
     if (now - shown < 90) return;
     shown = now;
     cells.forEach(([commanded, measured], axis) => {
-      text(commanded, number(pose.commanded_mm[axis], 2));
-      text(measured, number(pose.measured_mm[axis], 2));
+      // Without a home, positions count from where the machine was switched on.
+      const known = (mm) => (link.state.status?.referenced === false ? NaN : mm);
+      text(commanded, number(known(pose.commanded_mm[axis]), 2));
+      text(measured, number(known(pose.measured_mm[axis]), 2));
     });
     bars.forEach(([bar, value, unit], axis) => {
       bar.value = Math.min(100, (Math.log10(1 + peaks[axis]) / 4) * 100);

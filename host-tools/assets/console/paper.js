@@ -130,7 +130,7 @@ export function paper(link) {
 
   const pen = (context, at, colours) => {
     const pose = link.state.pose;
-    if (!pose || !Number.isFinite(pose.measured_mm[0])) return;
+    if (!pose || !Number.isFinite(pose.measured_mm[0]) || link.state.status?.referenced === false) return;
     const clamp = (value, low, high) => Math.min(high, Math.max(low, value));
     const [x, y] = [clamp(at.x(pose.measured_mm[0]), 6, screen.width - 6), clamp(at.y(pose.measured_mm[1]), 6, screen.height - 6)];
     const lowered = isLowered(at.sheet, pose.measured_mm);

@@ -3,6 +3,7 @@
 //! The page shows these texts unchanged. Invariant: only the firmware's mode and fault determine whether the robot is
 //! shown as stopped.
 
+use crate::axes::{AxisView, axes};
 use crate::link::text;
 use etherpen::application::{Fault, Mode, StopSource};
 use etherpen::config::{Config, IoDirection, IoRole};
@@ -32,6 +33,15 @@ pub struct StatusView {
     counters: Vec<(&'static str, u32)>,
     /// The named inputs and outputs of terminals.
     io: Vec<IoView>,
+    /// What the encoders show; only while the joints are not referenced.
+    encoders: Vec<EncoderView>,
+}
+
+#[derive(Clone, Debug, PartialEq, Serialize)]
+struct EncoderView {
+    axis: String,
+    /// Absent while no position arrives.
+    increments: Option<i32>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -156,8 +166,8 @@ fn slave(index: usize, slave: &SlaveStatus, silent_s: Option<u64>) -> SlaveView 
 }
 
 impl StatusView {
-    /// Adds what the configuration tells: the named inputs and outputs, which slaves have to be in OP, and that home switches
-    /// need power.
+    /// Adds what the configuration tells: the named inputs and outputs, the axes' encoders, which slaves have to be in OP, and
+    /// that home switches need power.
     pub fn with_machine(mut self, config: &Config, status: &Status) -> Self {
         let io = config.io.iter().zip(&status.io).map(|(point, state)| IoView {
             name: point.name.to_string(),
@@ -166,6 +176,14 @@ impl StatusView {
             value: state.valid.then(|| point.kind.value(state.raw)),
         });
         self.io = io.collect();
+        if !status.referenced && status.increments.iter().any(Option::is_some) {
+            let shown = axes(config).into_iter().zip(status.increments);
+            let encoder = |(axis, increments): (AxisView, Option<i32>)| EncoderView {
+                axis: axis.label,
+                increments,
+            };
+            self.encoders = shown.map(encoder).collect();
+        }
         if config.has_home_switches() && status.mode == Mode::DrivesOff {
             self.allowed.retain(|action| *action != "reference");
         }
@@ -247,6 +265,7 @@ pub fn view(status: &Status, silent_s: &[Option<u64>]) -> StatusView {
             ("stops that left the path", counters.path_stops_left),
         ],
         io: Vec::new(),
+        encoders: Vec::new(),
     }
 }
 
@@ -335,6 +354,24 @@ pub(crate) mod tests {
             ("3 of 4 slaves in OP".into(), false, true)
         );
         assert!(of(Mode::Idle, 8, 8).2);
+    }
+
+    #[test]
+    fn encoders_are_shown_by_their_axes_until_the_robot_is_homed() {
+        let gantry = MACHINES[1].load().expect("a bundled machine");
+        let mut shown = status(Mode::DrivesOff, None);
+        let encoders = |status: &Status| {
+            let view = view(status, &[]).with_machine(&gantry, status);
+            let pair = |encoder: EncoderView| (encoder.axis, encoder.increments);
+            view.encoders.into_iter().map(pair).collect::<Vec<_>>()
+        };
+        (shown.referenced, shown.increments) = (false, [Some(-5), None, Some(i32::MAX), Some(9)]);
+        let expected = [("x", Some(-5)), ("y", None), ("z", Some(i32::MAX))];
+        assert_eq!(encoders(&shown), expected.map(|(axis, shown)| (axis.to_owned(), shown)));
+        shown.increments = [None; 4];
+        assert_eq!(encoders(&shown), []);
+        (shown.referenced, shown.increments) = (true, [Some(1); 4]);
+        assert_eq!(encoders(&shown), []);
     }
 
     #[test]
