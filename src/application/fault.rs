@@ -294,6 +294,18 @@ impl From<ClockFault> for Fault {
 }
 
 impl Fault {
+    /// Whether another configuration may resolve it: the bus is not the one that the configuration in force expects.
+    pub const fn is_of_configuration(&self) -> bool {
+        matches!(
+            self,
+            Self::UnexpectedBus { .. }
+                | Self::BusConfiguration { .. }
+                | Self::OtherProduct { .. }
+                | Self::WrongSlave { .. }
+                | Self::SharedOutput { .. }
+        )
+    }
+
     /// The fault of an axis (from 0) whose feedback is implausible.
     pub fn feedback(axis: u8, implausible: Implausible) -> Self {
         match implausible {

@@ -152,16 +152,7 @@ impl Application {
         // In a fault, only one that a different configuration may resolve: the bus is not the expected one.
         let at_rest = match self.mode {
             Mode::Startup | Mode::DrivesOff => true,
-            Mode::Fault => matches!(
-                self.fault,
-                Some(
-                    Fault::UnexpectedBus { .. }
-                        | Fault::BusConfiguration { .. }
-                        | Fault::OtherProduct { .. }
-                        | Fault::WrongSlave { .. }
-                        | Fault::SharedOutput { .. }
-                )
-            ),
+            Mode::Fault => self.fault.is_some_and(|fault| fault.is_of_configuration()),
             _ => false,
         };
         at_rest && self.stop.is_none() && self.enabling == Enabling::No && self.recovering_since_ms.is_none()

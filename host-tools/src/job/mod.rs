@@ -125,6 +125,12 @@ pub struct Job {
     events: VecDeque<JobEvent>,
 }
 
+/// Whether the machine stands in a fault of another configuration that this one may resolve: the bus is not the one that the
+/// other expects.
+fn is_resolved_by(config: &Config, status: &Status) -> bool {
+    status.config != config.hash() && status.fault.is_some_and(|fault| fault.is_of_configuration())
+}
+
 impl Job {
     /// A job that connects and carries out `task`.
     pub fn new(config: Config, task: Task, options: JobOptions) -> Self {
@@ -417,6 +423,16 @@ impl Job {
         self.ack.executed = self.executed_before;
         self.drawing_ms = Some(self.now_ms);
         self.enter(Phase::Drawing);
+    }
+
+    /// Whether the task gives the machine its configuration, and the machine stands in a fault that this may resolve.
+    fn resolves_fault(&self, status: &Status) -> bool {
+        let configures = match &self.task {
+            Task::Prepare(_) | Task::Motion(_) => true,
+            Task::Draw(drawing) => !drawing.held,
+            Task::Look | Task::Tell(_) | Task::Rest => false,
+        };
+        configures && is_resolved_by(&self.config, status)
     }
 
     fn enter(&mut self, phase: Phase) {

@@ -116,7 +116,8 @@ impl Job {
             return self.fault_since_ms.is_some();
         };
         let mode = status.mode;
-        let Some(fault) = status.fault else {
+        let is_ending = matches!(self.phase, Phase::Inspecting | Phase::Configuring) && self.resolves_fault(status);
+        let Some(fault) = status.fault.filter(|_| !is_ending) else {
             self.fault_since_ms = None;
             return false;
         };
@@ -208,7 +209,8 @@ impl Job {
         if busy && !self.options.acknowledge {
             return self.fail(JobError::Busy(mode));
         }
-        if busy || mode == Mode::Fault {
+        let is_resolved = self.status.as_ref().is_some_and(|status| self.resolves_fault(status));
+        if busy || mode == Mode::Fault && !is_resolved {
             return self.enter(Phase::Acknowledging);
         }
         self.found_powered = matches!(mode, Mode::Idle | Mode::Unreferenced);

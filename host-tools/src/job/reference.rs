@@ -6,7 +6,7 @@
 //! Invariant: the result is the firmware's own angles, on the turns that its telemetry shows after the reference.
 
 use super::error::{JobError, Phase};
-use super::{BUS_MAX_MS, SILENCE_MAX_MS, STEP_MAX_MS};
+use super::{BUS_MAX_MS, SILENCE_MAX_MS, STEP_MAX_MS, is_resolved_by};
 use crate::link::session::{Event, Session};
 use crate::simulation::Host;
 use etherpen::application::{Mode, Refusal};
@@ -288,10 +288,12 @@ impl ReferenceJob {
             return self.fail(JobError::LinkLost { silent_ms });
         }
         let patient = self.acknowledge && matches!(self.phase, Phase::Inspecting | Phase::Acknowledging);
+        let is_early = matches!(self.phase, Phase::Inspecting | Phase::Configuring);
+        let is_ending = |status: &Status| is_early && is_resolved_by(&self.config, status);
         let status = self
             .status
             .as_ref()
-            .filter(|status| status.mode == Mode::Fault && !patient);
+            .filter(|status| status.mode == Mode::Fault && !patient && !is_ending(status));
         if let Some(fault) = status.and_then(|status| status.fault) {
             let before = self.phase == Phase::Inspecting;
             return self.fail(JobError::Fault { fault, before });
@@ -314,6 +316,7 @@ impl ReferenceJob {
         }
         let Some(status) = self.status.clone() else { return };
         match (self.phase, status.mode) {
+            (Phase::Inspecting, Mode::Fault) if is_resolved_by(&self.config, &status) => self.configure(),
             (Phase::Inspecting, Mode::Fault) => self.enter(Phase::Acknowledging),
             (Phase::Acknowledging, Mode::Fault) => self.acknowledge(),
             (Phase::Acknowledging, Mode::Stopping) => {}

@@ -11,7 +11,7 @@ use etherpen::link::frame::Decoder;
 use etherpen::link::ports::LinkPort;
 use etherpen::measurement::Measurements;
 use etherpen::messages::{Command, Counters, IoValues, PathVertex, RecordAnswer, RecordRequest, Sample, Status};
-use etherpen::messages::{DeviceEndpoint, DeviceEvent};
+use etherpen::messages::{ConfigRefusal, DeviceEndpoint, DeviceEvent};
 use etherpen::motion::Pen;
 use etherpen::robots::{AXES, Kinematics, Position};
 use std::collections::VecDeque;
@@ -182,13 +182,17 @@ impl Rig {
                 self.endpoint.measured(id, answer);
             }
             DeviceEvent::Configure { id, config } => {
-                let result = config.check().map(|()| config.hash().unwrap_or(0));
+                let is_stopped = self.fault.is_some_and(|fault| !fault.is_of_configuration());
+                let result = match config.check() {
+                    Ok(()) if is_stopped => Err(ConfigRefusal::NotInMode(self.mode)),
+                    checked => checked.map(|()| config.hash().unwrap_or(0)).map_err(Into::into),
+                };
                 if let Ok(hash) = result {
-                    self.config = Some(hash);
+                    (self.config, self.fault) = (Some(hash), None);
                     self.mode = Mode::BusConfiguring;
                     self.then = Some((now_ms + 50, Mode::DrivesOff));
                 }
-                self.endpoint.configured(id, result.map_err(Into::into));
+                self.endpoint.configured(id, result);
             }
             DeviceEvent::Command { id, command } => {
                 let result = self.command(command, now_ms);

@@ -180,3 +180,23 @@ fn a_fault_from_before_is_acknowledged_where_that_is_asked_for() {
     );
     assert_eq!(rig.commands, [Command::Acknowledge, Command::Home]);
 }
+
+#[test]
+fn a_fault_of_another_configuration_ends_with_the_one_that_fits() {
+    for acknowledge in [false, true] {
+        let mut rig = Rig::new(1, 0);
+        let fault = Fault::UnexpectedBus { expected: 4, found: 3 };
+        (rig.mode, rig.fault, rig.config) = (Mode::Fault, Some(fault), Some(1));
+        // The rig does not count cycles, so nothing can be read back.
+        let error = on_bench(&mut rig, acknowledge);
+        let is_taken = matches!(
+            error,
+            JobError::Timeout {
+                phase: Phase::Referencing,
+                ..
+            }
+        );
+        assert!(is_taken, "{error}");
+        assert_eq!(rig.commands, [Command::Home]);
+    }
+}

@@ -2,6 +2,7 @@
 
 use super::*;
 use etherpen::application::Fault;
+use etherpen::ethercat::error::IdentityProperty;
 
 #[test]
 fn a_fault_found_at_connect_is_reported_and_nothing_is_commanded() {
@@ -69,4 +70,50 @@ fn a_fault_while_drawing_is_told_at_once_and_ends_the_job_when_the_robot_stands(
         job.into_report().samples.len() > 500,
         "the telemetry of a failed drawing is kept"
     );
+}
+
+/// A machine whose bus is not the one that another configuration expects.
+fn of_another_configuration() -> Rig {
+    let mut rig = Rig::new(1, 0);
+    let fault = Fault::WrongSlave {
+        slave: 1,
+        property: IdentityProperty::Serial,
+        expected: 99,
+        found: 4,
+        other: None,
+    };
+    (rig.mode, rig.fault, rig.config) = (Mode::Fault, Some(fault), Some(1));
+    rig
+}
+
+#[test]
+fn a_fault_of_another_configuration_ends_with_the_one_that_fits_without_an_acknowledgement() {
+    for acknowledge in [false, true] {
+        let mut rig = of_another_configuration();
+        let options = JobOptions {
+            acknowledge,
+            ..JobOptions::default()
+        };
+        let mut job = Job::draw(Config::default(), path(10), options);
+        run(&mut rig, &mut job, 20_000, |_, _, _| {});
+        assert_eq!(job.outcome(), Some(&Ok(())));
+        assert!(!rig.commands.contains(&Command::Acknowledge), "{:?}", rig.commands);
+    }
+}
+
+#[test]
+fn a_fault_of_the_same_configuration_and_any_other_fault_are_told_as_before() {
+    let mut rig = of_another_configuration();
+    rig.config = Config::default().hash();
+    let fault = rig.fault.expect("a fault");
+    let mut drawing = job(10);
+    run(&mut rig, &mut drawing, 1_000, |_, _, _| {});
+    assert_eq!(drawing.outcome(), Some(&Err(JobError::Fault { fault, before: true })));
+    let mut rig = of_another_configuration();
+    let fault = Fault::SlaveLost { slave: 2 };
+    rig.fault = Some(fault);
+    let mut drawing = job(10);
+    run(&mut rig, &mut drawing, 1_000, |_, _, _| {});
+    assert_eq!(drawing.outcome(), Some(&Err(JobError::Fault { fault, before: true })));
+    assert_eq!((rig.config, rig.commands.len()), (Some(1), 0));
 }
