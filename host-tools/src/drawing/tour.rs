@@ -354,7 +354,12 @@ impl<'a> Tour<'a> {
             return None;
         }
         let before = self.link(a, outward(a)) + self.link(b, outward(b));
-        let after = self.link(a, b) + self.link(outward(a), outward(b));
+        let near = self.link(a, b);
+        // A link takes no less than no time.
+        if before - near < GAIN_MIN_S {
+            return None;
+        }
+        let after = near + self.link(outward(a), outward(b));
         if before - after < GAIN_MIN_S {
             return None;
         }
@@ -371,6 +376,8 @@ impl<'a> Tour<'a> {
         if place.abs_diff(goal) > self.span_max {
             return None;
         }
+        let gap = outward(goal);
+        let (opened, near) = (self.link(goal, gap), self.link(place, goal));
         for run in 1..=RUN_MAX.min(strokes - 1) {
             let first = if place.is_multiple_of(2) {
                 stroke
@@ -382,13 +389,16 @@ impl<'a> Tour<'a> {
                 return None;
             }
             let (from, to) = (2 * first, 2 * last + 1);
-            let gap = outward(goal);
             if (from..=to).contains(&gap) {
                 return None;
             }
             let far = from + to - place;
-            let before = self.link(from.wrapping_sub(1), from) + self.link(to, to + 1) + self.link(goal, gap);
-            let after = self.link(from.wrapping_sub(1), to + 1) + self.link(place, goal) + self.link(far, gap);
+            let before = self.link(from.wrapping_sub(1), from) + self.link(to, to + 1) + opened;
+            // A link takes no less than no time.
+            if before - near < GAIN_MIN_S {
+                continue;
+            }
+            let after = self.link(from.wrapping_sub(1), to + 1) + near + self.link(far, gap);
             if before - after >= GAIN_MIN_S {
                 self.gained_s += before - after;
                 return Some(self.relocate(from, to, goal, place));
