@@ -49,7 +49,12 @@ impl RunTask {
     }
 
     fn job(&self) -> Job {
-        Job::draw(self.config.clone(), self.path.clone(), JobOptions::default())
+        let options = JobOptions {
+            // The virtual machine starts there.
+            at_marks: true,
+            ..JobOptions::default()
+        };
+        Job::draw(self.config.clone(), self.path.clone(), options)
     }
 
     fn cell(&self, sink: Option<Sink>) -> io::Result<CapturedCell> {

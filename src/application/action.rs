@@ -36,8 +36,8 @@ pub enum Action {
     Power(Power),
     /// Clear the latched fault of the critical tasks.
     ClearFault,
-    /// Home: take the present resolver angles as the joint angles, on the turns nearest to a pose, or nearest to the
-    /// synchronisation marks if there is no pose.
+    /// Home: take the encoders' present angles as the joint angles, where they do not know the turns on those nearest to a
+    /// pose, or nearest to the synchronisation marks if there is no pose.
     Home {
         /// The pose.
         near: Option<JointAngles>,

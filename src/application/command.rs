@@ -8,10 +8,10 @@ use serde::{Deserialize, Serialize};
 /// A command of the operator.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub enum Command {
-    /// Home: take the resolvers' angles at the present pose, on the motor turns nearest to the marks.
+    /// Home: take the encoders' angles at the present pose, where they do not know the motor turn on the one nearest to the mark.
     #[serde(rename = "Reference")]
     Home,
-    /// Home at a known pose: take the motor turns nearest to it, if the resolvers show that pose and its forward
+    /// Home at a known pose: take the motor turns nearest to it, if the encoders show that pose and its forward
     /// kinematics leads to the measured position.
     #[serde(rename = "ReferenceAt")]
     HomeAt {
@@ -114,11 +114,11 @@ pub enum Refusal {
         /// Axis, from 0.
         axis: u8,
     },
-    /// The axis's resolver angle differs from the pose.
+    /// The angle that the axis's encoder shows differs from the pose.
     PoseResolver {
         /// Axis, from 0.
         axis: u8,
-        /// Resolver angle on the turn nearest to the pose, minus the pose, rad.
+        /// That angle, of a single-turn encoder on the turn nearest to the pose, minus the pose, rad.
         difference_rad: f32,
     },
     /// Forward kinematics of the pose does not give the measured position.

@@ -87,7 +87,8 @@ pub enum Encoder {
     /// Its place within a motor turn, as a resolver does.
     #[default]
     SingleTurn,
-    /// Its place within many motor turns. The drive's position must not wrap within the axis's range, but at 32 bits it may.
+    /// Its place within many motor turns, all of the axis's range within 2^31 increments of the mark. The drive's position may wrap at 32
+    /// bits, and nowhere else.
     MultiTurn,
     /// Nothing.
     Incremental,
@@ -143,6 +144,17 @@ impl Axis {
             *lead_ms += later_ms;
         }
         self
+    }
+
+    /// Whether nothing shows where the axis is when it is switched on: an incremental encoder, or a multi-turn encoder that was
+    /// never calibrated, and no home switch.
+    pub fn is_blind(&self) -> bool {
+        self.encoder != Encoder::SingleTurn && !self.knows_turns() && self.home.io.is_none()
+    }
+
+    /// Whether the axis has a multi-turn encoder that was calibrated: its mark, or its drive, is known.
+    pub fn knows_turns(&self) -> bool {
+        self.encoder == Encoder::MultiTurn && (self.serial != 0 || self.sync_increments != 0)
     }
 
     /// Identity required of the axis's drive.

@@ -38,8 +38,8 @@ pub enum SamplerCommand {
     },
     /// Power of the drives.
     Power(Power),
-    /// Home: take the resolvers' present angles as the joint angles, on the turns nearest to a pose, or nearest to the
-    /// marks if there is no pose.
+    /// Home: take the encoders' present angles as the joint angles, where they do not know the turns on those nearest to a
+    /// pose, or nearest to the marks if there is no pose.
     Home {
         /// The pose.
         near: Option<JointAngles>,
@@ -106,7 +106,7 @@ pub struct CycleReport {
     pub status_word: [u16; AXES],
     /// Whether each axis delivered a valid position.
     pub valid: [bool; AXES],
-    /// Last encoder positions of the drives, increments; the turn is unknown.
+    /// Last encoder positions of the drives, increments; the turn is known to multi-turn encoders only.
     pub increments: [i64; AXES],
     /// Whether each axis is homed.
     pub homed: [bool; AXES],
@@ -131,7 +131,8 @@ pub struct CycleReport {
 }
 
 impl CycleReport {
-    /// Encoder positions of the drives, increments; the turn is unknown. `None` where no position arrived.
+    /// Encoder positions of the drives, increments; the turn is known to multi-turn encoders only. `None` where no position
+    /// arrived.
     pub fn shown(&self) -> [Option<i64>; AXES] {
         core::array::from_fn(|axis| self.valid[axis].then_some(self.increments[axis]))
     }

@@ -190,10 +190,10 @@ impl AxisState {
         if self.known {
             let shown = input.position.wrapping_sub(self.raw);
             let difference = turned(shown, self.increments_per_revolution);
-            self.position += i64::from(difference);
-            // A position that starts again after a turn is not that of a multi-turn encoder.
-            let is_repeated = self.config.encoder == Encoder::MultiTurn;
-            if shown != difference && (is_repeated || self.drive.has_left_range(shown, difference)) {
+            // A multi-turn encoder counts the turns that nobody has seen. One whose position starts again after a turn is none.
+            let counts_turns = self.config.encoder == Encoder::MultiTurn;
+            self.position += i64::from(if counts_turns { shown } else { difference });
+            if shown != difference && (counts_turns || self.drive.has_left_range(shown, difference)) {
                 self.lose_home();
                 self.home_lost |= self.searches;
             }

@@ -136,7 +136,7 @@ function continueControls(link, drawing) {
     if (status.mode === "Fault") return ": acknowledge the fault first";
     if (!["DrivesOff", "Unreferenced", "Idle"].includes(status.mode)) return ": wait until the robot is at rest";
     if (status.referenced) return "";
-    const marks = ": the controller does not know the robot's pose. Move its joints to their marks and press Home";
+    const marks = ": the controller does not know the robot's pose. Press Home, with its joints at their marks unless their encoders or switches know better";
     if (!status.seen_mm) return marks;
     const [x, y] = status.seen_mm.map((mm) => number(mm, 0));
     return `${marks}, or, if nobody has moved them (pen at x ${x}, y ${y} mm):`;

@@ -260,7 +260,7 @@ function positions(link) {
     if (now - shown < 90) return;
     shown = now;
     cells.forEach(([commanded, measured], axis) => {
-      // Without a home, positions count from where the machine was switched on.
+      // Without a home, positions count from the encoders' zeros.
       const known = (mm) => (link.state.status?.referenced === false ? NaN : mm);
       text(commanded, number(known(pose.commanded_mm[axis]), 2));
       text(measured, number(known(pose.measured_mm[axis]), 2));

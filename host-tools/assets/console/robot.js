@@ -53,8 +53,9 @@ export function robot(link) {
     };
     context.lineCap = context.lineJoin = "round";
     workspace(constants, line, at, context, colours);
-    const parts = pose?.parts ?? [];
-    const tool = pose?.measured_mm;
+    const known = link.state.status?.referenced !== false;
+    const parts = (known && pose?.parts) || [];
+    const tool = known ? pose?.measured_mm : undefined;
     const middle = tool ? depth(tool) : 0;
     constants.parts.forEach(part);
     const near = (of) => Math.max(...of.points_mm.map(depth));

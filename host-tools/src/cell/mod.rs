@@ -42,7 +42,7 @@ pub use terminals::usual_slaves;
 
 use crate::random::Random;
 use calibration::Residues;
-use etherpen::config::Config;
+use etherpen::config::{Axis, Config};
 use etherpen::robots::{AXES, JointAngles, JointVelocities, Position};
 use etherpen_segment::{Load, Segment, SegmentOptions};
 use joint::Gear;
@@ -68,7 +68,7 @@ pub struct CellOptions {
     /// The slaves in the order of the chain; empty for [`usual_slaves`]. Drives belong to the configuration's axes in order;
     /// further drives move nothing.
     pub slaves: Vec<SlaveKind>,
-    /// What is set on each slave; slaves beyond them have the default options.
+    /// What is set on each slave. Drives beyond them have what their axes name, other slaves the default options.
     pub places: Vec<PlaceOptions>,
     /// Cables that do not lead from one slave to the next.
     pub branches: Vec<Branch>,
@@ -91,6 +91,16 @@ impl Default for CellOptions {
             clocks: ClockOptions::default(),
             sii_busy_us: SegmentOptions::default().sii_busy_us,
         }
+    }
+}
+
+/// The drive that an axis names: with its alias, its serial number and its switches.
+fn expected(axis: &Axis) -> PlaceOptions {
+    PlaceOptions {
+        alias: axis.alias,
+        serial: (axis.serial != 0).then_some(axis.serial),
+        identification: (axis.switch != 0).then_some(axis.switch),
+        ..PlaceOptions::default()
     }
 }
 
@@ -175,9 +185,10 @@ impl Cell {
         let mut axes = config.axes.into_iter();
         let mut errors_rad = residues.sync_rad.into_iter();
         let (mut gears, mut drives) = (Vec::new(), Vec::new());
+        let mut places = options.places;
         let mut joints = machine::resting(config);
         let mut angles = joints.0.iter_mut();
-        for kind in &slaves {
+        for (number, kind) in slaves.iter().enumerate() {
             let axis = kind.is_drive().then(|| axes.next()).flatten().unwrap_or_default();
             let sync_rad = kind.is_drive().then(|| errors_rad.next()).flatten().unwrap_or(0.0);
             let gear = Gear::new(&axis, sync_rad);
@@ -189,12 +200,16 @@ impl Cell {
                     .into_iter()
                     .for_each(|angle| *angle = gear.joint_rad(angle_rad));
                 drives.push(commissioning.drive(drives.len(), &axis, angle_rad));
+                if number >= places.len() {
+                    places.resize(number, PlaceOptions::default());
+                    places.push(expected(&axis));
+                }
             }
         }
         let machine = Machine::new(config, gears, &joints, &options.physics, &residues);
         let segment = SegmentOptions {
             slaves,
-            places: options.places,
+            places,
             branches: options.branches,
             drives,
             clocks: options.clocks,

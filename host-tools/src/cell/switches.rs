@@ -18,6 +18,8 @@ pub(super) fn starts_rad(config: &Config, driven: usize, offset_max_rad: f64, ra
         let axis = config.axes.get(number).copied().unwrap_or_default();
         let most_rad = offset_max_rad.min(TURN_PART * TAU / axis.gear.abs());
         let offset_rad = (2.0 * random.unit() - 1.0) * most_rad;
+        // A person has brought it to its mark: nothing else shows where it is.
+        let offset_rad = if axis.is_blind() { 0.0 } else { offset_rad };
         if let Some(place_rad) = places_rad.get_mut(number).filter(|_| axis.home.io.is_some()) {
             let share = offset_rad / most_rad / 2.0 + 0.5;
             let away_rad = (0.05 + share) * axis.home.travel_max_rad / 3.0;

@@ -1,6 +1,6 @@
 //! `etherpen config`: a new configuration file, checks of one, and the values in effect with the source of each.
 
-pub(super) mod scan;
+mod scan;
 
 use super::bus::WayArguments;
 use super::ports::OptionalPort;

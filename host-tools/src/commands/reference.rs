@@ -32,8 +32,9 @@ const SIMULATED_MAX_MS: u32 = 300_000;
 ///
 /// A resolver is absolute within one motor turn; at a gear of 1:12 a joint repeats every 30 degrees. Without --pose and
 /// --position, the joints must be within half a motor turn (15 degrees) of their synchronisation marks. If another
-/// program has the port, the reference is taken through it. A multi-turn encoder knows the turn by itself; --store also stores its
-/// drive's serial number, so that another drive is refused. An incremental encoder knows nothing: its joint must be at its mark.
+/// program has the port, the reference is taken through it. A multi-turn encoder knows the turn by itself once it was calibrated;
+/// --store also stores its drive's serial number, so that another drive is refused. An incremental encoder knows nothing: its joint
+/// must be exactly at its mark, or exactly at --pose or --position.
 #[derive(clap::Args, Debug)]
 pub struct Arguments {
     /// Try it on the virtual cell, in virtual time.
@@ -156,6 +157,11 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let wanted = wanted(arguments, &config, &kinematics)?;
     let store = arguments.store.then(|| arguments.config.file_to_store(&config));
     let store = store.transpose()?;
+    let mut config = config;
+    if store.is_some() {
+        // Before: the machine is homed with the configuration that is stored.
+        multi_turn::name_drives(arguments, &mut config)?;
+    }
     let found = take(arguments, &config, wanted)?;
     let position = kinematics.forward(&found.pose).ok();
     let mut answer = Answer {
@@ -174,9 +180,7 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         );
     }
     if let Some(path) = store.filter(|_| switched.len() < answer.axes.len()) {
-        let mut marked = found.marked();
-        multi_turn::name_drives(arguments, &mut marked)?;
-        let changed = store_reference(&path, &marked, found.increments, found.pose.0)?;
+        let changed = store_reference(&path, &found.marked(), found.increments, found.pose.0)?;
         eprintln!(
             "{} changed in {}, read back and checked.",
             counted(changed, "value"),

@@ -9,10 +9,12 @@ use super::page_text::for_page;
 use super::{Console, lock};
 use crate::error::code;
 use crate::job::error::Phase;
+use crate::job::is_resolved_by;
 use crate::job::{JobEvent, JobReport, Motion, Ready};
 use crate::link::text;
 use crate::machine::{Answer, DrawOrder, Failure, News, NoNews, OVERTAKEN, Order, Subscription, Ticket};
 use etherpen::application::Mode;
+use etherpen::config::Encoder;
 use etherpen::messages::Command;
 use etherpen::robots::Position;
 use std::sync::mpsc::{Receiver, TryRecvError};
@@ -174,7 +176,8 @@ fn take(console: &Console, news: News) {
                 hub.take_status(&status);
             });
             console.keep_touches(&status);
-            if status.mode == Mode::Startup && console.event_pump.has_to_prepare() {
+            let is_new = status.mode == Mode::Startup || is_resolved_by(&console.config, &status, false);
+            if is_new && console.event_pump.has_to_prepare() {
                 let answer = console.machine.order(Order::Prepare(Ready::Bus));
                 *lock(&console.event_pump.preparing) = Some((Instant::now(), answer));
             }
@@ -359,9 +362,13 @@ impl Console {
         *lock(&self.event_pump.drawing) = Some((activation, answer));
     }
 
-    /// The reference at the last pose in which the joints were referenced; the firmware checks it against its resolvers
-    /// and against the last position of the platform.
+    /// The reference at the last pose in which the joints were referenced; the firmware checks it against its encoders
+    /// and against the last position of the platform. `None` where an encoder knows nothing that it could be checked against.
     pub(super) fn reference_here(&self) -> Option<Command> {
+        let mut axes = self.config.axes.iter().take(self.config.bus.drives.into());
+        if axes.any(|axis| axis.encoder != Encoder::SingleTurn && !axis.knows_turns()) {
+            return None;
+        }
         let hub = self.hub();
         let (known, status) = (hub.known()?, hub.status()?);
         let increments = crate::job::reference::all(&status.increments)?;

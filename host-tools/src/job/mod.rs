@@ -30,7 +30,7 @@ pub mod verification;
 use crate::link::measurement::Reader;
 use crate::link::session::{Session, SessionCounts};
 use error::{JobError, Phase};
-use etherpen::application::Mode;
+use etherpen::application::{Fault, Mode};
 use etherpen::config::Config;
 use etherpen::ethercat::diagnostics::ServiceRequest;
 use etherpen::link::message::PathAck;
@@ -126,9 +126,15 @@ pub struct Job {
 }
 
 /// Whether the machine stands in a fault of another configuration that this one may resolve: the bus is not the one that the
-/// other expects.
-fn is_resolved_by(config: &Config, status: &Status) -> bool {
-    status.config != config.hash() && status.fault.is_some_and(|fault| fault.is_of_configuration())
+/// other expects. That a slave was not configured may have other causes, so this has to be acknowledged.
+pub(crate) fn is_resolved_by(config: &Config, status: &Status, acknowledge: bool) -> bool {
+    let stands = status.mode == Mode::Fault && !status.recovering;
+    let is_other = status.config != config.hash();
+    let is_of_configuration = |fault: Fault| match fault {
+        Fault::BusConfiguration { .. } => acknowledge,
+        fault => fault.is_of_configuration(),
+    };
+    stands && is_other && status.fault.is_some_and(is_of_configuration)
 }
 
 impl Job {
@@ -432,7 +438,7 @@ impl Job {
             Task::Draw(drawing) => !drawing.held,
             Task::Look | Task::Tell(_) | Task::Rest => false,
         };
-        configures && is_resolved_by(&self.config, status)
+        configures && is_resolved_by(&self.config, status, self.options.acknowledge)
     }
 
     fn enter(&mut self, phase: Phase) {

@@ -6,7 +6,7 @@ use super::task::{DrawTask, Motion, Ready, Task};
 use crate::link::measurement::Reader;
 use crate::link::text;
 use etherpen::application::Mode;
-use etherpen::config::{Axis, Encoder};
+use etherpen::config::Axis;
 use etherpen::link::message::PathAck;
 use etherpen::messages::Command;
 
@@ -156,6 +156,10 @@ impl Job {
             Phase::Telling => self.tell(mode),
             Phase::BusUp => {
                 if matches!(mode, Mode::DrivesOff | Mode::Unreferenced | Mode::Idle) {
+                    if !referenced && self.needs_a_person() {
+                        self.ending.get_or_insert(JobError::NotReferenced);
+                        return;
+                    }
                     let is_searched = self.searches_anew() || !referenced && self.config.has_home_switches();
                     self.ready(
                         Ready::Bus,
@@ -268,17 +272,22 @@ impl Job {
         }
     }
 
-    /// Homes the joints, by their encoders, at their marks or by their switches; fails if the reference at marks was lost, if the
-    /// drawing does not allow it and not all encoders know the pose, or if nothing shows that an axis is at its mark.
+    /// Whether only a person can say where an axis is, and none has.
+    fn needs_a_person(&self) -> bool {
+        let mut axes = self.config.axes.iter().take(self.config.bus.drives.into());
+        let is_wanted = self.task != Task::Prepare(Ready::Bus);
+        is_wanted && !self.options.at_marks && !self.searches_anew() && axes.any(Axis::is_blind)
+    }
+
+    /// Homes the joints, by their encoders, at their marks or by their switches; fails if the reference at marks was lost, or if
+    /// the drawing does not allow it and not all encoders know the pose.
     fn reference(&mut self, mode: Mode) {
         let by_switches = self.config.has_home_switches();
         let is_lost = self.status.as_ref().is_some_and(|status| status.reference_lost);
         let is_elsewhere = matches!(&self.task, Task::Draw(drawing) if !drawing.may_reference);
-        let axes = self.config.axes.iter().take(self.config.bus.drives.into());
-        let knows_pose = axes.clone().all(|axis| axis.encoder == Encoder::MultiTurn);
-        let is_blind = |axis: &Axis| axis.encoder == Encoder::Incremental && axis.home.io.is_none();
-        let is_unknown = !self.searches_anew() && axes.clone().any(is_blind);
-        if is_lost && !by_switches || is_elsewhere && !knows_pose || is_unknown {
+        let mut axes = self.config.axes.iter().take(self.config.bus.drives.into());
+        let knows_pose = !by_switches && axes.all(Axis::knows_turns);
+        if is_lost && !by_switches || is_elsewhere && !knows_pose {
             self.ending.get_or_insert(JobError::NotReferenced);
             return;
         }

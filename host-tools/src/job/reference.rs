@@ -73,7 +73,12 @@ impl Wanted {
             Pose::Seen(seen_rad) => Some(angles(config, increments, seen_rad.map(Some))),
             Pose::MainAxes([first, second, third]) if self.calibrate => Some(JointAngles([first, second, third, 0.0])),
             Pose::MainAxes([first, second, third]) => {
-                let JointAngles([.., fourth]) = angles(config, increments, [Some(0.0); AXES]);
+                // An incremental encoder's axis is at its mark.
+                let near_rad = config.axes.each_ref().map(|axis| match axis.encoder {
+                    Encoder::SingleTurn | Encoder::MultiTurn => Some(0.0),
+                    Encoder::Incremental => None,
+                });
+                let JointAngles([.., fourth]) = angles(config, increments, near_rad);
                 Some(JointAngles([first, second, third, fourth]))
             }
         }
@@ -289,7 +294,7 @@ impl ReferenceJob {
         }
         let patient = self.acknowledge && matches!(self.phase, Phase::Inspecting | Phase::Acknowledging);
         let is_early = matches!(self.phase, Phase::Inspecting | Phase::Configuring);
-        let is_ending = |status: &Status| is_early && is_resolved_by(&self.config, status);
+        let is_ending = |status: &Status| is_early && is_resolved_by(&self.config, status, self.acknowledge);
         let status = self
             .status
             .as_ref()
@@ -316,7 +321,9 @@ impl ReferenceJob {
         }
         let Some(status) = self.status.clone() else { return };
         match (self.phase, status.mode) {
-            (Phase::Inspecting, Mode::Fault) if is_resolved_by(&self.config, &status) => self.configure(),
+            (Phase::Inspecting, Mode::Fault) if is_resolved_by(&self.config, &status, self.acknowledge) => {
+                self.configure();
+            }
             (Phase::Inspecting, Mode::Fault) => self.enter(Phase::Acknowledging),
             (Phase::Acknowledging, Mode::Fault) => self.acknowledge(),
             (Phase::Acknowledging, Mode::Stopping) => {}

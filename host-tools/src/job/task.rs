@@ -59,6 +59,8 @@ pub struct JobOptions {
     pub connect_max_ms: u64,
     /// Whether to acknowledge an earlier fault and to cancel an abandoned drawing.
     pub acknowledge: bool,
+    /// Whether somebody says that the axes of which nothing else shows it are at their marks.
+    pub at_marks: bool,
     /// Whether samples are reported as [`JobEvent::Samples`] instead of being kept for the report.
     pub forward_samples: bool,
 }
@@ -69,6 +71,7 @@ impl Default for JobOptions {
             session: 1,
             connect_max_ms: 5_000,
             acknowledge: false,
+            at_marks: false,
             forward_samples: false,
         }
     }

@@ -120,7 +120,7 @@ pub fn refusal(refusal: &Refusal) -> String {
         Refusal::NotFinite => "a value is not a finite number; check the input".into(),
         Refusal::NoPosition { axis } => format!("no position arrives from axis {}; check its drive", axis + 1),
         Refusal::PoseResolver { axis, difference_rad } => format!(
-            "axis {}: the resolver shows an angle {:.2} degrees away from the pose; measure the pose again, or correct the \
+            "axis {}: the encoder shows an angle {:.2} degrees away from the pose; measure the pose again, or correct the \
              axis' synchronisation values",
             axis + 1,
             difference_rad.to_degrees()

@@ -180,6 +180,7 @@ fn errors(text: &str) -> (Option<Config>, Vec<Finding>) {
     }
     if found.is_empty() {
         found.extend(marks_outside(&places, &config));
+        found.extend(wrapping(&places, &config));
     }
     if let Err(cause) = config.check_io() {
         found.push(error(
@@ -596,14 +597,43 @@ impl Checks<'_> {
     }
 }
 
+/// Increments of a multi-turn encoder from the mark in which a drive's position of 32 bits is that of one place only.
+const POSITIONS: f64 = 2_147_483_648.0;
+
+/// The multi-turn encoders that show a position of 32 bits at several places of their axis.
+fn wrapping(places: &Places<'_>, config: &Config) -> Vec<Finding> {
+    let wraps = |axis: &AxisView| {
+        let settings = config.axes.get(axis.index)?;
+        let range_rad = range_rad(config, axis.index);
+        let farthest_rad = range_rad.map(|end_rad| (end_rad - settings.sync_angle_rad).abs());
+        let increments_per_rad = settings.gear.abs() * f64::from(settings.increments_per_revolution) / TAU;
+        let farthest = farthest_rad.into_iter().fold(0.0, f64::max) * increments_per_rad;
+        (settings.encoder == Encoder::MultiTurn && farthest >= POSITIONS).then(|| Finding {
+            gravity: Gravity::Error,
+            line: places.of_axis(axis.index, &["encoder", "increments_per_revolution"]),
+            text: format!(
+                "axis {} ({}) moves up to {farthest:.0} increments from its mark, and the drive's position of 32 bits repeats after \
+                 4294967296: let its drive count fewer increments for a turn, move the mark to the middle of its range, or make that narrower",
+                axis.index + 1,
+                axis.name
+            ),
+        })
+    };
+    axes(config).iter().filter_map(wraps).collect()
+}
+
 /// What has to be done for an axis's encoder.
 fn encoder_text(axis: &AxisView, settings: &Axis) -> Option<String> {
     let (number, name) = (axis.index + 1, &axis.name);
     match settings.encoder {
         _ if settings.home.io.is_some() => None,
+        Encoder::MultiTurn if !settings.knows_turns() => Some(format!(
+            "the multi-turn encoder of axis {number} ({name}) was never calibrated, so it knows nothing: bring the axis to its mark and \
+             say etherpen home --calibrate --store"
+        )),
         Encoder::MultiTurn if settings.serial == 0 => Some(format!(
             "the multi-turn encoder of axis {number} ({name}) belongs to one drive, and serial does not say to which: another \
-             drive would go unnoticed; home once with etherpen home --calibrate --store, which writes it"
+             drive would go unnoticed; etherpen home --store writes it"
         )),
         Encoder::Incremental => Some(format!(
             "axis {number} ({name}) has an incremental encoder and no home switch: bring it to its mark by hand and say etherpen \

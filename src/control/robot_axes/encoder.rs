@@ -41,7 +41,7 @@ pub(super) fn nearest_turn(difference: i64, revolution: i64) -> i64 {
 ///
 /// A single-turn encoder tells it on the turn nearest to `near_rad`, or nearest to the synchronisation mark if `near_rad` is
 /// `None`. A multi-turn encoder tells it alone; of `increments` the lower 32 bits count, those of the drive's position. An
-/// incremental one tells nothing: the joint is at `near_rad`, or at the mark.
+/// incremental one tells nothing, nor does a multi-turn one that was never calibrated: the joint is at `near_rad`, or at the mark.
 pub fn encoder_angle_rad(axis: &Axis, increments: i64, near_rad: Option<f64>) -> f64 {
     let revolution = i64::from(axis.increments_per_revolution.max(1));
     let off_mark = increments - i64::from(axis.sync_increments);
@@ -54,8 +54,8 @@ pub fn encoder_angle_rad(axis: &Axis, increments: i64, near_rad: Option<f64>) ->
                 at_mark_rad + turn_rad * libm::round((near_rad - at_mark_rad) / turn_rad)
             })
         }
-        Encoder::MultiTurn => angle_rad(i64::from(off_mark as i32)),
-        Encoder::Incremental => near_rad.unwrap_or(axis.sync_angle_rad),
+        Encoder::MultiTurn if axis.knows_turns() => angle_rad(i64::from(off_mark as i32)),
+        Encoder::MultiTurn | Encoder::Incremental => near_rad.unwrap_or(axis.sync_angle_rad),
     }
 }
 
@@ -80,7 +80,7 @@ mod tests {
     #[test]
     fn a_multi_turn_encoder_tells_the_turn_across_the_end_of_32_bits_too_whatever_is_near() {
         for gear in [12.0, -7.5] {
-            for sync_increments in [0, 5, i32::MAX, i32::MIN, -1, 1_900_000_000] {
+            for sync_increments in [1, 5, i32::MAX, i32::MIN, -1, 1_900_000_000] {
                 let axis = Axis {
                     encoder: Encoder::MultiTurn,
                     gear,
@@ -109,15 +109,28 @@ mod tests {
     }
 
     #[test]
-    fn an_incremental_encoder_tells_nothing() {
+    fn an_incremental_encoder_tells_nothing_and_neither_does_one_that_was_never_calibrated() {
+        for encoder in [Encoder::Incremental, Encoder::MultiTurn] {
+            let axis = Axis {
+                encoder,
+                sync_angle_rad: 0.3,
+                ..Axis::default()
+            };
+            assert!(axis.is_blind());
+            for increments in [0, 77, -5_000_000] {
+                assert_eq!(encoder_angle_rad(&axis, increments, None), 0.3);
+                assert_eq!(encoder_angle_rad(&axis, increments, Some(1.1)), 1.1);
+            }
+        }
+        // Its drive is known, so it was calibrated, and 0 is what it shows at its mark.
         let axis = Axis {
-            encoder: Encoder::Incremental,
-            sync_angle_rad: 0.3,
+            encoder: Encoder::MultiTurn,
+            serial: 7,
             ..Axis::default()
         };
-        for increments in [0, 77, -5_000_000] {
-            assert_eq!(encoder_angle_rad(&axis, increments, None), 0.3);
-            assert_eq!(encoder_angle_rad(&axis, increments, Some(1.1)), 1.1);
-        }
+        assert!(!axis.is_blind());
+        let turns = 5 * i64::from(axis.increments_per_revolution);
+        let expected_rad = 5.0 * TAU / axis.gear;
+        assert!((encoder_angle_rad(&axis, turns, Some(0.3)) - expected_rad).abs() < 1e-12);
     }
 }

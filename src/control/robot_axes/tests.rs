@@ -73,6 +73,35 @@ fn turns_are_counted_both_ways_for_single_turn_and_for_counting_encoders() {
 }
 
 #[test]
+fn a_multi_turn_encoder_counts_turns_that_nobody_has_seen_and_the_pose_is_lost() {
+    let settings = Axis {
+        encoder: Encoder::MultiTurn,
+        sync_increments: i32::MAX - 1000,
+        ..Axis::default()
+    };
+    for turns in [0.7, -0.7, 1.3, 900.0] {
+        let mut robot = RobotAxes::new(&[settings; AXES], AXES);
+        for axis in &mut robot.axes {
+            axis.step(at(i32::MAX - 1000), 0);
+        }
+        robot.home(None).unwrap();
+        let moved = (turns * f64::from(TURN)) as i32;
+        for axis in &mut robot.axes {
+            (0..300).for_each(|_| axis.step(None, 0));
+            axis.step(at((i32::MAX - 1000).wrapping_add(moved)), 0);
+            axis.step(at((i32::MAX - 1000).wrapping_add(moved)), 0);
+        }
+        assert!(!robot.is_homed(), "{turns}");
+        let axis = robot.axes[0];
+        assert_eq!(axis.position as i32, axis.raw, "{turns}");
+        robot.home(None).unwrap();
+        let angle_rad = robot.axes[0].axis_input().unwrap().angle_rad.unwrap();
+        let expected_rad = settings.sync_angle_rad + TAU / settings.gear * turns;
+        assert!((angle_rad - expected_rad).abs() < 1e-4, "{turns}: {angle_rad}");
+    }
+}
+
+#[test]
 fn the_resolver_gives_the_angle_nearest_to_the_mark() {
     // A quarter turn of the motor beyond the mark, seen across the end of the turn and four turns up.
     for position in [1000 + TURN / 4, 1000 + TURN / 4 + 4 * TURN, 1000 + TURN / 4 - TURN] {

@@ -24,6 +24,8 @@ struct AxisPosition {
     /// The increments' lower 16 bits, less those of the position that follows from the angle: whole turns that are not
     /// in the angle.
     offset: Option<i64>,
+    /// By how much the positions are greater than those of the angles, increments.
+    shift: i64,
 }
 
 /// An encoder position.
@@ -55,10 +57,14 @@ impl Positions {
 
 impl AxisPosition {
     fn next(&mut self, axis: &Axis, homed: bool, angle_rad: f64, lower: u16) -> Position {
+        let rounded = position(axis, homed, angle_rad).round().clamp(-MOST, MOST) as i64;
         if homed != self.homed {
+            // An encoder that knows nothing goes on where it was when its axis is homed.
+            let before = self.last.filter(|_| homed && axis.is_blind());
+            self.shift = before.map_or(0, |before| before - rounded);
             (self.homed, self.offset, self.last) = (homed, None, None);
         }
-        let rounded = position(axis, homed, angle_rad).round().clamp(-MOST, MOST) as i64;
+        let rounded = rounded + self.shift;
         let missing = nearest(i64::from(lower) - rounded);
         let offset = *self.offset.get_or_insert(missing);
         let exact = rounded + nearest(missing - offset);
@@ -91,6 +97,35 @@ fn nearest(difference: i64) -> i64 {
 mod tests {
     use super::*;
     use crate::random::Random;
+    use etherpen::config::Encoder;
+
+    #[test]
+    fn an_incremental_encoder_goes_on_where_it_was_when_its_axis_is_homed() {
+        let axis = Axis {
+            encoder: Encoder::Incremental,
+            gear: 1.0,
+            increments_per_revolution: 100_000,
+            sync_angle_rad: 0.5,
+            ..Axis::default()
+        };
+        let mut state = AxisPosition::default();
+        let angle_rad = |increments: i64| increments as f64 * TAU / 100_000.0;
+        let mut last = None;
+        for increments in 1_000_i64..1_100 {
+            last = Some(
+                state
+                    .next(&axis, false, angle_rad(increments), increments as u16)
+                    .increments,
+            );
+        }
+        let before = last.expect("positions");
+        // Homed at its mark; then it moves by ten increments.
+        for moved in 0..10_i64 {
+            let homed_rad = 0.5 + angle_rad(moved);
+            let found = state.next(&axis, true, homed_rad, (1_099 + moved) as u16);
+            assert_eq!(i64::from(found.increments), i64::from(before) + moved);
+        }
+    }
 
     #[test]
     fn a_motion_is_followed_to_the_increment_at_any_resolution() {

@@ -264,11 +264,14 @@ pub(super) fn change_encoders(episode: &mut Episode, seed: u64) {
     let counts_turns = used.clone().all(|axis| axis.mode == AxisMode::Position);
     let is_true = !episode.events.iter().any(shows_other);
     for (number, axis) in used.enumerate() {
-        let mark = chance.one_of(&[0, i64::from(i32::MAX), i64::from(i32::MIN), -1])
+        let mark = chance.one_of(&[1, i64::from(i32::MAX), i64::from(i32::MIN), -1])
             + chance.one_of(&[0, 1]) * chance.below(1 << 30) as i64 * chance.one_of(&[-1, 1]);
         let (encoder, mark) = match axis.home.io {
             Some(_) if chance.one_in(2) => ("incremental", 0),
-            None if counts_turns && is_true => ("multi-turn", i64::from(mark as i32)),
+            // A mark at 0 is that of an encoder that was never calibrated.
+            None if counts_turns && is_true => {
+                ("multi-turn", i64::from(if mark as i32 == 0 { 1 } else { mark as i32 }))
+            }
             _ => continue,
         };
         let values = [

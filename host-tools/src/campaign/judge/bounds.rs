@@ -144,7 +144,11 @@ pub(super) fn cell(config: &Config) -> monitor::Cell {
             output_max_rad_s: settings.output_max_rad_s,
             search_rad_s: search_rad_s(config, axis),
             mark_rad: settings.sync_angle_rad,
-            turn_rad: core::f64::consts::TAU / settings.gear.abs(),
+            // No turn is mistaken where the encoder knows it.
+            turn_rad: match settings.knows_turns() {
+                true => f64::INFINITY,
+                false => core::f64::consts::TAU / settings.gear.abs(),
+            },
         });
     monitor::Cell {
         robot: robot::robot(&config.geometry),

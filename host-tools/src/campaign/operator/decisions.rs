@@ -178,7 +178,8 @@ impl Operator<'_> {
         }
     }
 
-    /// Homes: at the marks if the joints are there, else at the pose that the operator measures.
+    /// Homes: at the marks if the joints are there, or anywhere if the encoders know the pose, else at the pose that the operator
+    /// measures.
     pub(super) fn home(&mut self) {
         let angles_rad = self.world.truth().angles_rad;
         let marks = self
@@ -191,7 +192,9 @@ impl Operator<'_> {
             .iter()
             .zip(marks)
             .all(|(angle, (mark, near_rad))| (angle - mark).abs() < near_rad);
-        self.say(match at_marks {
+        let mut axes = self.config.axes.iter().take(self.chain.drives.len());
+        let knows_pose = axes.all(etherpen::config::Axis::knows_turns);
+        self.say(match at_marks || knows_pose {
             true => Command::Home,
             false => Command::HomeAt {
                 pose: JointAngles(angles_rad),

@@ -22,7 +22,7 @@ const NO_OBJECT: [u32; 2] = [0x0602_0000, 0x0609_0011];
 ///
 /// # Errors
 /// The bus refused a request or was lost; a slave could not be asked.
-pub(in crate::commands) fn chain(access: &mut dyn BusAccess) -> Result<Vec<Found>, ProgramError> {
+pub(super) fn chain(access: &mut dyn BusAccess) -> Result<Vec<Found>, ProgramError> {
     let view = slaves::read(access, None)?;
     let found = |slave: SlaveView| {
         Ok(Found {

@@ -2,7 +2,7 @@
 //!
 //! The picture is drawn as if with a wider pen: lines are farther apart, and finer details are left out, in the whole
 //! picture, but in faces less than elsewhere. The required width is found by planning; a little too much time is met by
-//! leaving out short strokes, none of a face.
+//! leaving out short strokes, none that touches a face whose features are known.
 //!
 //! Invariant: the drawing takes no longer than its time limit, and at least [`SHARE_MIN`] of it unless the whole
 //! picture takes less.
@@ -40,7 +40,7 @@ pub(super) struct Timed {
 }
 
 /// The most detailed drawing that takes no longer than `budget_s`; `draw` makes one for a multiple of the pen's width, and no
-/// stroke whose middle `is_kept` is left out of it.
+/// stroke with a point that `is_kept` is left out of it.
 ///
 /// # Errors
 /// Errors of `draw` with the real pen, and [`DrawingError::TimeTooShort`].
@@ -138,11 +138,12 @@ fn timed(drawing: Drawing, config: &Config, options: &OrderOptions) -> Timed {
 /// the time limit.
 fn thinned(whole: &Timed, budget_s: f64, config: &Config, is_kept: &impl Fn([f64; 2]) -> bool) -> Option<Timed> {
     let strokes = &whole.drawing.strokes;
-    let middle = |stroke: &Stroke| stroke.points.get(stroke.points.len() / 2).copied();
-    let may_go: Vec<bool> = strokes
-        .iter()
-        .map(|stroke| !middle(stroke).is_some_and(is_kept))
-        .collect();
+    let touches = |stroke: &Stroke| {
+        let middles = stroke.points.iter().zip(stroke.points.iter().skip(1));
+        let middles = middles.map(|(from, to)| [0, 1].map(|k| 0.5 * (from[k] + to[k])));
+        stroke.points.iter().copied().chain(middles).any(is_kept)
+    };
+    let may_go: Vec<bool> = strokes.iter().map(|stroke| !touches(stroke)).collect();
     let mut lengths: Vec<f64> = (strokes.iter().zip(&may_go))
         .filter(|(_, may_go)| **may_go)
         .map(|(stroke, _)| stroke.length_mm())

@@ -291,3 +291,62 @@ fn a_tool_is_right_or_named_with_its_line_and_what_to_write() {
         "{found}"
     );
 }
+
+/// The findings about the CoreXY, whose axes have no switch, with these lines for all of its axes.
+fn with_encoders(lines: &str) -> Vec<String> {
+    let text = COREXY.replacen("[axis_defaults]", &format!("[axis_defaults]\n{lines}"), 1);
+    check(&text)
+        .iter()
+        .map(|finding| format!("{:?} {finding}", finding.gravity))
+        .collect()
+}
+
+#[test]
+fn what_an_encoder_does_not_know_is_told() {
+    for (lines, words) in [
+        ("encoder = \"multi-turn\"", "never calibrated"),
+        (
+            "encoder = \"multi-turn\"\nsync_increments = -7",
+            "home --store writes it",
+        ),
+        ("encoder = \"incremental\"", "no home switch"),
+    ] {
+        let findings = with_encoders(lines);
+        assert_eq!(findings.len(), 2, "{lines}: {findings:?}");
+        for finding in findings {
+            assert!(finding.starts_with("Warning") && finding.contains(words), "{finding}");
+        }
+    }
+    // Two axes with the serial number of one drive are refused, so only one has it here.
+    let text = COREXY.replacen(
+        "[[axes]]                     # belt a: x + y",
+        "[[axes]]\nencoder = \"multi-turn\"\nserial = 5",
+        1,
+    );
+    assert_ne!(text, COREXY);
+    assert_eq!(check(&text), []);
+}
+
+#[test]
+fn a_multi_turn_encoder_whose_position_repeats_within_its_range_is_refused() {
+    let mut long = COREXY.replacen("quick_stop_mm_s2 = 12000.0", "quick_stop_mm_s2 = 6000.0", 1);
+    for axis in ["x", "y"] {
+        let range = format!("{axis}_range_mm = [-170.0, 170.0]");
+        assert!(long.contains(&range));
+        long = long.replacen(&range, &format!("{axis}_range_mm = [-1700.0, 1700.0]"), 1);
+    }
+    // 3,400 mm of each belt from its mark, 40 for a turn: 85 turns.
+    for (gear, refused) in [(24.0, 0), (24.2, 2)] {
+        let lines = format!("[axis_defaults]\nencoder = \"multi-turn\"\nsync_increments = 5\ngear = {gear}");
+        let findings = check(&long.replacen("[axis_defaults]", &lines, 1));
+        let errors: Vec<_> = findings
+            .iter()
+            .filter(|finding| finding.gravity == Gravity::Error)
+            .collect();
+        assert_eq!(errors.len(), refused, "{gear}: {findings:?}");
+        assert!(
+            errors.iter().all(|finding| finding.text.contains("repeats")),
+            "{findings:?}"
+        );
+    }
+}
