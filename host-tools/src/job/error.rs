@@ -231,8 +231,8 @@ impl fmt::Display for JobError {
                 text::mode(*mode)
             ),
             Self::NotReferenced => f.write_str(
-                "the robot is not homed and may be in any pose; home it (etherpen home), where its encoders do not know the pose \
-                 at its marks or another known pose, then continue: with draw --resume for an interrupted drawing",
+                "the robot is not homed and may be in any pose; home it (etherpen reference), where its encoders do not know the \
+                 pose at its marks or another known pose, then continue: with draw --resume for an interrupted drawing",
             ),
             Self::Cancelled => f.write_str("it was cancelled; the robot is at rest"),
             Self::Abandoned => f.write_str(
