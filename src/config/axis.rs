@@ -152,9 +152,9 @@ impl Axis {
         self.encoder != Encoder::SingleTurn && !self.knows_turns() && self.home.io.is_none()
     }
 
-    /// Whether the axis has a multi-turn encoder that was calibrated: its mark, or its drive, is known.
+    /// Whether the axis has a multi-turn encoder that was calibrated: what it shows at the mark is known, and is not written as 0.
     pub fn knows_turns(&self) -> bool {
-        self.encoder == Encoder::MultiTurn && (self.serial != 0 || self.sync_increments != 0)
+        self.encoder == Encoder::MultiTurn && self.sync_increments != 0
     }
 
     /// Identity required of the axis's drive.

@@ -157,11 +157,6 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
     let wanted = wanted(arguments, &config, &kinematics)?;
     let store = arguments.store.then(|| arguments.config.file_to_store(&config));
     let store = store.transpose()?;
-    let mut config = config;
-    if store.is_some() {
-        // Before: the machine is homed with the configuration that is stored.
-        multi_turn::name_drives(arguments, &mut config)?;
-    }
     let found = take(arguments, &config, wanted)?;
     let position = kinematics.forward(&found.pose).ok();
     let mut answer = Answer {
@@ -180,7 +175,9 @@ pub fn run(arguments: &Arguments) -> Result<(), ProgramError> {
         );
     }
     if let Some(path) = store.filter(|_| switched.len() < answer.axes.len()) {
-        let changed = store_reference(&path, &found.marked(), found.increments, found.pose.0)?;
+        let mut marked = found.marked();
+        multi_turn::name_drives(arguments, &mut marked)?;
+        let changed = store_reference(&path, &marked, found.increments, found.pose.0)?;
         eprintln!(
             "{} changed in {}, read back and checked.",
             counted(changed, "value"),

@@ -14,7 +14,7 @@ use crate::job::{JobEvent, JobReport, Motion, Ready};
 use crate::link::text;
 use crate::machine::{Answer, DrawOrder, Failure, News, NoNews, OVERTAKEN, Order, Subscription, Ticket};
 use etherpen::application::Mode;
-use etherpen::config::Encoder;
+use etherpen::config::{Config, Encoder};
 use etherpen::messages::Command;
 use etherpen::robots::Position;
 use std::sync::mpsc::{Receiver, TryRecvError};
@@ -163,6 +163,12 @@ fn follow(console: &Weak<Console>, news: &Subscription) {
             console.change(|hub| hub.refused_drawing(activation, &why));
         }
     }
+}
+
+/// Whether each axis's encoder would show that somebody has moved the machine.
+pub(super) fn shows_motion(config: &Config) -> bool {
+    let mut axes = config.axes.iter().take(config.bus.drives.into());
+    axes.all(|axis| axis.encoder == Encoder::SingleTurn || axis.knows_turns())
 }
 
 fn take(console: &Console, news: News) {
@@ -365,12 +371,8 @@ impl Console {
     /// The reference at the last pose in which the joints were referenced; the firmware checks it against its encoders
     /// and against the last position of the platform. `None` where an encoder knows nothing that it could be checked against.
     pub(super) fn reference_here(&self) -> Option<Command> {
-        let mut axes = self.config.axes.iter().take(self.config.bus.drives.into());
-        if axes.any(|axis| axis.encoder != Encoder::SingleTurn && !axis.knows_turns()) {
-            return None;
-        }
         let hub = self.hub();
-        let (known, status) = (hub.known()?, hub.status()?);
+        let (known, status) = (hub.known().filter(|_| shows_motion(&self.config))?, hub.status()?);
         let increments = crate::job::reference::all(&status.increments)?;
         let [x_mm, y_mm, z_mm] = known.platform_mm.map(f64::from);
         let wanted = crate::job::reference::Wanted {

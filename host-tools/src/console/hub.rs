@@ -6,6 +6,7 @@
 
 use super::capture::{Caught, SignalCapture, Trigger};
 use super::control::{Change, ControlLock, ViewerId};
+use super::event_pump::shows_motion;
 use super::history::{History, HistorySnapshot};
 use super::jobs::Jobs;
 use super::messages::section;
@@ -398,7 +399,11 @@ impl Hub {
         let silent_s = |since_ms: &Option<u64>| since_ms.map(|since_ms| now_ms.saturating_sub(since_ms) / 1_000);
         let silent_s: Vec<_> = self.silent_ms.iter().map(silent_s).collect();
         let view = status::view(status, &silent_s)
-            .seen_at(self.known.map(|known| known.platform_mm))
+            .seen_at(
+                self.known
+                    .filter(|_| shows_motion(&self.config))
+                    .map(|known| known.platform_mm),
+            )
             .with_machine(&self.config, status);
         self.say(Topic::Status, &view);
         self.status = Some(status.clone());

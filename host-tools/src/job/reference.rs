@@ -14,6 +14,7 @@ use etherpen::config::{Config, Encoder};
 use etherpen::control::robot_axes::encoder_angle_rad;
 use etherpen::messages::{Command, Sample, Status};
 use etherpen::robots::{AXES, JointAngles, MAIN_AXES, Position};
+use std::f64::consts::TAU;
 
 /// Longest wait for the firmware's answer to the greeting, ms.
 const GREETING_MAX_MS: u64 = 5_000;
@@ -23,6 +24,8 @@ const INQUIRE_MS: u64 = 50;
 const PATIENCE_MS: u64 = 2_000;
 /// Time before a refused reference is requested again, ms.
 const RETRY_MS: u64 = 100;
+/// Largest difference of two angles that are one, rad.
+const SAME_RAD: f64 = 1.0e-6;
 /// Time after which the firmware's reports certainly reflect the new reference, ms.
 const SETTLE_MS: u32 = 20;
 
@@ -73,10 +76,10 @@ impl Wanted {
             Pose::Seen(seen_rad) => Some(angles(config, increments, seen_rad.map(Some))),
             Pose::MainAxes([first, second, third]) if self.calibrate => Some(JointAngles([first, second, third, 0.0])),
             Pose::MainAxes([first, second, third]) => {
-                // An incremental encoder's axis is at its mark.
+                // The axis of an encoder that knows nothing is at its mark.
                 let near_rad = config.axes.each_ref().map(|axis| match axis.encoder {
-                    Encoder::SingleTurn | Encoder::MultiTurn => Some(0.0),
-                    Encoder::Incremental => None,
+                    Encoder::SingleTurn => Some(0.0),
+                    Encoder::MultiTurn | Encoder::Incremental => None,
                 });
                 let JointAngles([.., fourth]) = angles(config, increments, near_rad);
                 Some(JointAngles([first, second, third, fourth]))
@@ -145,10 +148,22 @@ fn marked(config: &Config, pose: &JointAngles, increments: &[i32; AXES]) -> Conf
     let mut marked = config.clone();
     let axes = marked.axes.iter_mut().zip(pose.0).zip(increments);
     for ((axis, angle_rad), increments) in axes.filter(|((axis, _), _)| axis.home.io.is_none()) {
-        axis.sync_angle_rad = angle_rad;
-        // What an incremental encoder shows is another number after each start.
-        if axis.encoder != Encoder::Incremental {
-            axis.sync_increments = *increments;
+        // A pose that was reported in single precision is no other one.
+        if (axis.sync_angle_rad - angle_rad).abs() > SAME_RAD {
+            axis.sync_angle_rad = angle_rad;
+        }
+        match (axis.encoder, *increments) {
+            (Encoder::SingleTurn | Encoder::MultiTurn, increments @ (..=-1 | 1..))
+            | (Encoder::SingleTurn, increments) => {
+                axis.sync_increments = increments;
+            }
+            // 0 is that of an encoder that was never calibrated: the mark is an increment farther.
+            (Encoder::MultiTurn, 0) => {
+                axis.sync_increments = 1;
+                axis.sync_angle_rad += TAU / axis.gear / f64::from(axis.increments_per_revolution.max(1));
+            }
+            // What it shows is another number after each start.
+            (Encoder::Incremental, _) => {}
         }
     }
     marked

@@ -603,8 +603,9 @@ const POSITIONS: f64 = 2_147_483_648.0;
 /// The multi-turn encoders that show a position of 32 bits at several places of their axis.
 fn wrapping(places: &Places<'_>, config: &Config) -> Vec<Finding> {
     let wraps = |axis: &AxisView| {
-        let settings = config.axes.get(axis.index)?;
-        let range_rad = range_rad(config, axis.index);
+        let settings = config.axes.get(axis.index).filter(|axis| axis.home.io.is_none())?;
+        // A turning tool may have a range that it never uses.
+        let range_rad = config.geometry.ranges_rad().get(axis.index).copied()?;
         let farthest_rad = range_rad.map(|end_rad| (end_rad - settings.sync_angle_rad).abs());
         let increments_per_rad = settings.gear.abs() * f64::from(settings.increments_per_revolution) / TAU;
         let farthest = farthest_rad.into_iter().fold(0.0, f64::max) * increments_per_rad;
@@ -633,7 +634,8 @@ fn encoder_text(axis: &AxisView, settings: &Axis) -> Option<String> {
         )),
         Encoder::MultiTurn if settings.serial == 0 => Some(format!(
             "the multi-turn encoder of axis {number} ({name}) belongs to one drive, and serial does not say to which: another \
-             drive would go unnoticed; etherpen home --store writes it"
+             drive would go unnoticed; if it is the one that was calibrated, etherpen home --store writes it, else etherpen home \
+             --calibrate --store"
         )),
         Encoder::Incremental => Some(format!(
             "axis {number} ({name}) has an incremental encoder and no home switch: bring it to its mark by hand and say etherpen \

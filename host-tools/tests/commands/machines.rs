@@ -7,9 +7,10 @@ use host_tools::error::code;
 use host_tools::settings::machines::MACHINES;
 use serde_json::Value;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 const GANTRY: &str = MACHINES[1].text;
+const COREXY: &str = MACHINES[2].text;
 
 fn usage() -> Option<i32> {
     Some(i32::from(code::USAGE))
@@ -221,4 +222,59 @@ fn a_stderr_that_is_full_does_not_end_a_command_in_a_panic() {
     command.args(["home", "--simulate"]).stderr(full());
     let output = command.output().expect("the program starts");
     assert_eq!(output.status.code(), Some(0));
+}
+
+/// The CoreXY with multi-turn encoders.
+fn with_multi_turn_encoders(folder: &Folder) -> PathBuf {
+    let text = COREXY.replacen("[axis_defaults]", "[axis_defaults]\nencoder = \"multi-turn\"", 1);
+    folder.file("robot.toml", &text)
+}
+
+#[test]
+fn a_multi_turn_encoder_is_calibrated_once_and_its_machine_is_homed_at_the_same_place_again() {
+    let folder = Folder::new();
+    let file = with_multi_turn_encoders(&folder);
+    let home = ["home", "--simulate", "--config", "robot.toml"];
+    let first = json(&folder, &[&home[..], &["--store"]].concat());
+    let stored = fs::read_to_string(&file).expect("the file");
+    assert_eq!(stored.matches("sync_increments = ").count(), 2, "{stored}");
+    let config = host_tools::settings::load(Some(Path::new(&file))).expect("a configuration");
+    assert!(config.axes.iter().take(2).all(etherpen::config::Axis::knows_turns));
+    assert!(
+        config
+            .axes
+            .iter()
+            .take(2)
+            .all(|axis| axis.sync_angle_rad.abs() < 1.0e-9)
+    );
+    let again = json(&folder, &home);
+    let places = |answer: &Value| -> Vec<f64> {
+        let axes = answer["axes"].as_array().expect("axes").clone();
+        axes.iter()
+            .map(|axis| axis["position_mm"].as_f64().expect("mm"))
+            .collect()
+    };
+    println!("{first} {again}");
+    assert!(
+        places(&first).iter().all(|mm| mm.abs() < 1.0e-6),
+        "at the marks: {first}"
+    );
+    // The virtual machine stands a little off its marks, and its encoders say so.
+    assert!(places(&again).iter().all(|mm| mm.abs() < 10.5), "{again}");
+}
+
+#[test]
+fn a_machine_is_simulated_with_the_drives_that_its_axes_name_and_with_encoders_that_know_nothing() {
+    let folder = Folder::new();
+    let named = COREXY
+        .replacen("[[axes]]", "[[axes]]\nserial = 4711\nalias = 12", 1)
+        .replacen("[axis_defaults]", "[axis_defaults]\nencoder = \"incremental\"", 1);
+    folder.file("robot.toml", &named);
+    let drawing = host_tools::setup::workspace().join("samples/strokes.csv");
+    let drawing = drawing.display().to_string();
+    let words = ["simulate", &drawing, "--config", "robot.toml", "--out", "out"];
+    let report = json(&folder, &words);
+    let [ink_mm, missing_mm] =
+        ["ink_deviation_max_mm", "ink_missing_mm"].map(|name| report[name].as_f64().expect("mm"));
+    assert!(ink_mm < 0.1 && missing_mm < 0.1, "{ink_mm} {missing_mm}");
 }

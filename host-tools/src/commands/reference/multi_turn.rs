@@ -10,7 +10,8 @@ use etherpen::config::{Axis, Config, Encoder};
 /// # Errors
 /// The bus cannot be read.
 pub(super) fn name_drives(arguments: &Arguments, config: &mut Config) -> Result<(), ProgramError> {
-    if unnamed(config).is_empty() {
+    let before = unnamed(config).len();
+    if before == 0 {
         return Ok(());
     }
     if !arguments.simulate {
@@ -18,6 +19,9 @@ pub(super) fn name_drives(arguments: &Arguments, config: &mut Config) -> Result<
         let bus = slaves::read(&mut *connection::firmware(&port, config)?.access, None)?;
         let drives = bus.slaves.iter().filter_map(|slave| Some((slave.axis?, slave.serial)));
         name(config, drives);
+        if unnamed(config).len() < before {
+            eprintln!("The machine does not know the serial numbers of the file yet: say etherpen home once more.");
+        }
     }
     for number in unnamed(config) {
         let why = match arguments.simulate {

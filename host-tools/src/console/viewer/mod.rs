@@ -476,32 +476,35 @@ impl Viewer {
     }
 
     fn command(&self, heard: Ticket, action: Action) {
-        let (what, order) = match action {
-            Action::Reference => ("homing", Order::Tell(Command::Home)),
-            Action::ReferenceHere => match self.console.reference_here() {
-                Some(command) => ("the reference", Order::Tell(command)),
-                None => return self.refuse("the robot's last pose is unknown; home it at its marks"),
-            },
-            Action::Enable => ("enabling the drives", Order::Tell(Command::Enable)),
-            Action::Disable => ("disabling the drives", Order::Tell(Command::Disable)),
-            Action::Hold => ("holding", Order::Hold),
-            Action::Resume => ("resuming", Order::Resume),
-            // A robot on its way to the place for changing the pen stops, too.
-            Action::Cancel if self.console.end_in_pause() && !self.console.is_moving() => return,
-            Action::Cancel => ("cancelling", Order::Cancel),
-            Action::Acknowledge => ("acknowledging the fault", Order::Tell(Command::Acknowledge)),
-            Action::Pen { down } => {
-                let pen = if down { Pen::Down } else { Pen::Up };
-                ("moving the pen", Order::Tell(Command::Pen { pen }))
-            }
-            Action::Override { percent } => ("the speed override", Order::Override(percent)),
-            Action::Move {
-                position_mm: [x_mm, y_mm, z_mm],
-            } => {
-                let position = Position { x_mm, y_mm, z_mm };
-                ("moving", Order::Tell(Command::Move { position }))
-            }
-        };
+        let (what, order) =
+            match action {
+                Action::Reference => ("homing", Order::Tell(Command::Home)),
+                Action::ReferenceHere => match self.console.reference_here() {
+                    Some(command) => ("the reference", Order::Tell(command)),
+                    None => return self.refuse(
+                        "the robot's last pose is unknown, or its encoders would not show that it was moved; home it",
+                    ),
+                },
+                Action::Enable => ("enabling the drives", Order::Tell(Command::Enable)),
+                Action::Disable => ("disabling the drives", Order::Tell(Command::Disable)),
+                Action::Hold => ("holding", Order::Hold),
+                Action::Resume => ("resuming", Order::Resume),
+                // A robot on its way to the place for changing the pen stops, too.
+                Action::Cancel if self.console.end_in_pause() && !self.console.is_moving() => return,
+                Action::Cancel => ("cancelling", Order::Cancel),
+                Action::Acknowledge => ("acknowledging the fault", Order::Tell(Command::Acknowledge)),
+                Action::Pen { down } => {
+                    let pen = if down { Pen::Down } else { Pen::Up };
+                    ("moving the pen", Order::Tell(Command::Pen { pen }))
+                }
+                Action::Override { percent } => ("the speed override", Order::Override(percent)),
+                Action::Move {
+                    position_mm: [x_mm, y_mm, z_mm],
+                } => {
+                    let position = Position { x_mm, y_mm, z_mm };
+                    ("moving", Order::Tell(Command::Move { position }))
+                }
+            };
         self.console.order(heard, what, order);
     }
 

@@ -2,6 +2,7 @@
 
 use super::*;
 use etherpen::application::Fault;
+use etherpen::config::Encoder;
 use etherpen::ethercat::error::IdentityProperty;
 
 #[test]
@@ -116,4 +117,71 @@ fn a_fault_of_the_same_configuration_and_any_other_fault_are_told_as_before() {
     run(&mut rig, &mut drawing, 1_000, |_, _, _| {});
     assert_eq!(drawing.outcome(), Some(&Err(JobError::Fault { fault, before: true })));
     assert_eq!((rig.config, rig.commands.len()), (Some(1), 0));
+}
+
+#[test]
+fn a_bus_that_could_not_be_configured_is_acknowledged_first_and_a_machine_that_still_stops_is_waited_for() {
+    let step = Fault::BusConfiguration {
+        slave: 1,
+        step: 4,
+        code: 0,
+    };
+    for (acknowledge, is_drawn) in [(false, false), (true, true)] {
+        let mut rig = of_another_configuration();
+        rig.fault = Some(step);
+        let options = JobOptions {
+            acknowledge,
+            ..JobOptions::default()
+        };
+        let mut job = Job::draw(Config::default(), path(10), options);
+        run(&mut rig, &mut job, 20_000, |_, _, _| {});
+        assert_eq!(
+            job.outcome().is_some_and(Result::is_ok),
+            is_drawn,
+            "{:?}",
+            job.outcome()
+        );
+        assert_eq!(rig.config == Some(1), !is_drawn);
+    }
+}
+
+#[test]
+fn an_axis_of_which_only_a_person_knows_where_it_is_is_not_homed_by_a_job() {
+    let mut blind = Config::default();
+    blind.axes[2].encoder = Encoder::Incremental;
+    let mut uncalibrated = Config::default();
+    (uncalibrated.axes[1].encoder, uncalibrated.axes[1].serial) = (Encoder::MultiTurn, 77);
+    let mut calibrated = uncalibrated.clone();
+    calibrated.axes[1].sync_increments = -5;
+    for (config, at_marks, is_homed) in [
+        (&blind, false, false),
+        (&blind, true, true),
+        (&uncalibrated, false, false),
+        (&uncalibrated, true, true),
+        (&calibrated, false, true),
+    ] {
+        for task in [Task::Draw(DrawTask::new(path(10))), Task::Prepare(Ready::Enabled)] {
+            let mut rig = Rig::new(1, 0);
+            let options = JobOptions {
+                at_marks,
+                ..JobOptions::default()
+            };
+            let mut job = Job::new(config.clone(), task, options);
+            run(&mut rig, &mut job, 20_000, |_, _, _| {});
+            let expected = if is_homed { Ok(()) } else { Err(JobError::NotReferenced) };
+            assert_eq!(job.outcome(), Some(&expected));
+            assert_eq!(rig.commands.contains(&Command::Home), is_homed);
+            assert_eq!(rig.referenced, is_homed);
+        }
+        // The bus is brought up all the same, and a machine that somebody has homed draws.
+        let mut rig = Rig::new(1, 0);
+        (rig.referenced, rig.mode, rig.config) = (true, Mode::DrivesOff, config.hash());
+        let mut job = Job::new(
+            config.clone(),
+            Task::Draw(DrawTask::new(path(10))),
+            JobOptions::default(),
+        );
+        run(&mut rig, &mut job, 20_000, |_, _, _| {});
+        assert_eq!(job.outcome(), Some(&Ok(())));
+    }
 }

@@ -305,10 +305,7 @@ fn with_encoders(lines: &str) -> Vec<String> {
 fn what_an_encoder_does_not_know_is_told() {
     for (lines, words) in [
         ("encoder = \"multi-turn\"", "never calibrated"),
-        (
-            "encoder = \"multi-turn\"\nsync_increments = -7",
-            "home --store writes it",
-        ),
+        ("encoder = \"multi-turn\"\nsync_increments = -7", "--store writes it"),
         ("encoder = \"incremental\"", "no home switch"),
     ] {
         let findings = with_encoders(lines);
@@ -317,10 +314,10 @@ fn what_an_encoder_does_not_know_is_told() {
             assert!(finding.starts_with("Warning") && finding.contains(words), "{finding}");
         }
     }
-    // Two axes with the serial number of one drive are refused, so only one has it here.
+    // An axis whose drive and mark are known.
     let text = COREXY.replacen(
         "[[axes]]                     # belt a: x + y",
-        "[[axes]]\nencoder = \"multi-turn\"\nserial = 5",
+        "[[axes]]\nencoder = \"multi-turn\"\nserial = 5\nsync_increments = 77",
         1,
     );
     assert_ne!(text, COREXY);
