@@ -358,10 +358,10 @@ pub(crate) mod tests {
 
     #[test]
     fn encoders_are_shown_by_their_axes_until_the_robot_is_homed() {
-        let gantry = MACHINES[1].load().expect("a bundled machine");
+        let config = MACHINES[1].load().expect("a bundled machine");
         let mut shown = status(Mode::DrivesOff, None);
         let encoders = |status: &Status| {
-            let view = view(status, &[]).with_machine(&gantry, status);
+            let view = view(status, &[]).with_machine(&config, status);
             let pair = |encoder: EncoderView| (encoder.axis, encoder.increments);
             view.encoders.into_iter().map(pair).collect::<Vec<_>>()
         };
