@@ -6,6 +6,7 @@
 use super::hub::{Hub, Level, Topic};
 use super::jobs::{Continued, DrawnPart, Unfinished};
 use super::page_text::for_page;
+use super::status::shows_motion;
 use super::{Console, lock};
 use crate::error::code;
 use crate::job::error::Phase;
@@ -14,7 +15,6 @@ use crate::job::{JobEvent, JobReport, Motion, Ready};
 use crate::link::text;
 use crate::machine::{Answer, DrawOrder, Failure, News, NoNews, OVERTAKEN, Order, Subscription, Ticket};
 use etherpen::application::Mode;
-use etherpen::config::{Config, Encoder};
 use etherpen::messages::Command;
 use etherpen::robots::Position;
 use std::sync::mpsc::{Receiver, TryRecvError};
@@ -163,12 +163,6 @@ fn follow(console: &Weak<Console>, news: &Subscription) {
             console.change(|hub| hub.refused_drawing(activation, &why));
         }
     }
-}
-
-/// Whether each axis's encoder would show that somebody has moved the machine.
-pub(super) fn shows_motion(config: &Config) -> bool {
-    let mut axes = config.axes.iter().take(config.bus.drives.into());
-    axes.all(|axis| axis.encoder == Encoder::SingleTurn || axis.knows_turns())
 }
 
 fn take(console: &Console, news: News) {

@@ -6,7 +6,6 @@
 
 use super::capture::{Caught, SignalCapture, Trigger};
 use super::control::{Change, ControlLock, ViewerId};
-use super::event_pump::shows_motion;
 use super::history::{History, HistorySnapshot};
 use super::jobs::Jobs;
 use super::messages::section;
@@ -401,7 +400,7 @@ impl Hub {
         let view = status::view(status, &silent_s)
             .seen_at(
                 self.known
-                    .filter(|_| shows_motion(&self.config))
+                    .filter(|_| status::shows_motion(&self.config))
                     .map(|known| known.platform_mm),
             )
             .with_machine(&self.config, status);

@@ -6,7 +6,7 @@
 use crate::axes::{AxisView, axes};
 use crate::link::text;
 use etherpen::application::{Fault, Mode, StopSource};
-use etherpen::config::{Config, IoDirection, IoRole};
+use etherpen::config::{Config, Encoder, IoDirection, IoRole};
 use etherpen::drives::cia402::{DriveState, StatusWord};
 use etherpen::ethercat::state::{al_code_hint, al_code_text};
 use etherpen::messages::{SlaveStatus, Status};
@@ -212,6 +212,12 @@ fn bus(operational: usize, slaves: usize) -> BusView {
         },
         good: operational == slaves && operational > 0,
     }
+}
+
+/// Whether each axis's encoder would show that somebody has moved the machine.
+pub(super) fn shows_motion(config: &Config) -> bool {
+    let mut axes = config.axes.iter().take(config.bus.drives.into());
+    axes.all(|axis| axis.encoder == Encoder::SingleTurn || axis.knows_turns())
 }
 
 /// Converts a status for display; `silent_s` gives for each slave how long it has not answered.
