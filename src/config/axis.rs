@@ -35,7 +35,8 @@ pub struct Axis {
     pub digits_per_rpm: f64,
     /// Joint angle at the synchronisation mark, radians.
     pub sync_angle_rad: f64,
-    /// Encoder position at the synchronisation mark, increments; within a motor turn for a single-turn encoder.
+    /// Encoder position at the synchronisation mark, increments; within a motor turn for a single-turn encoder, 0 for a
+    /// multi-turn encoder that was never calibrated.
     pub sync_increments: i32,
     /// Feedback gain Kfb, 1/s; in position mode the gain of the drive's own position loop.
     pub feedback_gain_per_s: f64,
