@@ -190,12 +190,9 @@ impl AxisState {
         if self.known {
             let shown = input.position.wrapping_sub(self.raw);
             let difference = turned(shown, self.increments_per_revolution);
-            // A multi-turn encoder counts the turns that nobody has seen. One whose position starts again after a turn is none.
-            let counts_turns = self.config.encoder == Encoder::MultiTurn;
-            self.position += i64::from(if counts_turns { shown } else { difference });
-            if shown != difference && (counts_turns || self.drive.has_left_range(shown, difference)) {
-                self.lose_home();
-                self.home_lost |= self.searches;
+            self.position += i64::from(difference);
+            if shown != difference {
+                self.pass_end(shown, difference);
             }
             let cycles = self.gap_ms.min(GAP_AT_REST_MAX_MS) as i32 + 1;
             let before = core::mem::replace(&mut self.step, difference / cycles);
@@ -214,6 +211,20 @@ impl AxisState {
         self.status = input.status;
         self.drive.take(&input);
         self.valid = true;
+    }
+
+    /// Handles a position that is not within half a turn of the one before. A multi-turn encoder counts the turns that nobody
+    /// has seen; one whose position starts again after a turn is none.
+    #[cold]
+    fn pass_end(&mut self, shown: i32, difference: i32) {
+        let counts_turns = self.config.encoder == Encoder::MultiTurn;
+        if counts_turns {
+            self.position += i64::from(shown) - i64::from(difference);
+        }
+        if counts_turns || self.drive.has_left_range(shown, difference) {
+            self.lose_home();
+            self.home_lost |= self.searches;
+        }
     }
 
     /// Handles a cycle without an input.
