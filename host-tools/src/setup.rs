@@ -299,6 +299,8 @@ const PYSOEM: &str = "pysoem==1.1.13";
 
 /// The version of KickCAT, an EtherCAT master of another project that brings up the virtual segment.
 const KICKCAT: &str = "kickcat==2.5";
+/// The version of elkai, LKH for Python, which finds nearly the shortest tours.
+const ELKAI: &str = "elkai==2.0.1";
 
 /// A Python with vpype, in a separate folder below the target folder; installed if it is missing.
 ///
@@ -330,6 +332,14 @@ pub fn ensure_pysoem() -> Result<PathBuf, SetupError> {
 /// What is missing and how to get it.
 pub fn ensure_kickcat() -> Result<PathBuf, SetupError> {
     ensure_python("kickcat", KICKCAT, "")
+}
+
+/// A Python with elkai, in a separate folder below the target folder; installed if it is missing.
+///
+/// # Errors
+/// What is missing and how to get it.
+pub fn ensure_elkai() -> Result<PathBuf, SetupError> {
+    ensure_python("elkai", ELKAI, "; or leave it out: --quick")
 }
 
 /// What the portraits are compared with, each version pinned, and pip's extra words: the judge (dlib's detector and

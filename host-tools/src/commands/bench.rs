@@ -25,7 +25,8 @@ enum Bench {
     /// console's memory.
     Console(Options),
     /// The vectoriser on the sample photographs (time, strokes, tone, edges); the order of the sample vectors compared
-    /// with vpype's (linemerge linesort --two-opt); ten photographs in every style beside the drawings of hatched and
+    /// with vpype's (linemerge linesort --two-opt); the length of two photographs as one line beside LKH's (some minutes each);
+    /// ten photographs in every style beside the drawings of hatched and
     /// plotline in the same drawing time, judged by dlib (whose face it is) and mediapipe (where its points are). vpype, the
     /// other programs, the judges and most photographs come from PyPI and are set up in separate folders below the target
     /// folder (about one and a half gigabytes).
@@ -45,7 +46,7 @@ enum Bench {
 /// Options of the benchmark of drawings.
 #[derive(clap::Args, Debug)]
 struct DrawingOptions {
-    /// No portraits, which take about a quarter of an hour.
+    /// No portraits and no tours of LKH, which take about a quarter of an hour each.
     #[arg(long)]
     quick: bool,
     /// The PNG to write with the portraits side by side: a row for each photograph, with the photograph, the five styles

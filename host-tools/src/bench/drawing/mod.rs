@@ -1,7 +1,8 @@
-//! Benchmarks of drawings: the vectoriser on photographs, portraits beside those of other programs, and the order of
-//! strokes compared with vpype's.
+//! Benchmarks of drawings: the vectoriser on photographs, portraits beside those of other programs, the order of strokes
+//! compared with vpype's, and the style of one line with LKH's tours.
 
 mod judge;
+mod line;
 mod order;
 mod peers;
 mod photographs;
@@ -40,7 +41,7 @@ fn failed(program: &str, cause: impl std::fmt::Display) -> BenchError {
 /// Parts of this benchmark that take long.
 #[derive(Clone, Debug, Default)]
 pub struct DrawingPlan {
-    /// No portraits.
+    /// No portraits and no tours of LKH.
     pub quick: bool,
     /// The PNG with all portraits to write.
     pub contact_sheet: Option<PathBuf>,
@@ -60,6 +61,7 @@ pub fn run(selection: &Selection, plan: &DrawingPlan, progress: impl Fn(&str)) -
     }
     order::run(selection, &progress, &mut rows)?;
     if !plan.quick {
+        line::run(selection, &progress, &mut rows)?;
         portraits::run(selection, plan.contact_sheet.as_deref(), &progress, &mut rows)?;
     }
     rows.retain(|row: &BenchRow| selection.wants(&row.case, row.subject));

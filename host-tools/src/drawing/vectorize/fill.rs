@@ -80,7 +80,8 @@ impl Study {
                     length_min: &length_min,
                     seed: options.seed,
                 };
-                strokes.extend(join_serpentines(&self.without_lone(hatch(&goal)), &goal));
+                let serpentines = join_serpentines(&self.without_lone(hatch(&goal)), &goal);
+                strokes.extend(serpentines.iter().map(|points| self.stroke(points)));
             }
             strokes
         })
@@ -92,7 +93,14 @@ impl Study {
         let ink = self.grain.zip(&self.features, |ink, feature| {
             ink * (1.0 + FEATURE_GAIN * feature * ink)
         });
-        self.filled(&[], options, |density| one_line(&ink, self.pen, density, options.seed))
+        // Every point is drawn: its place is the tone, and the tour is short through all of them.
+        let through = |points: &Vec<Point>| Stroke {
+            points: self.frame.on_sheet(points),
+        };
+        self.filled(&[], options, |density| {
+            let line = one_line(&ink, self.pen, density, options.seed);
+            line.iter().map(through).collect()
+        })
     }
 
     /// Long lines side by side that bend with the form, and lines at eyes, nose and mouth.
@@ -101,7 +109,8 @@ impl Study {
         let drawn = self.coverage_of(lines.iter().map(|edge| edge.points.as_slice()));
         self.filled(&lines, options, |density| {
             let ink = self.ink.zip(&drawn, |ink, drawn| (ink - 0.5 * drawn).max(0.0));
-            engrave(&ink, &self.calm, self.pen, density)
+            let engraved = engrave(&ink, &self.calm, self.pen, density);
+            engraved.iter().map(|points| self.stroke(points)).collect()
         })
     }
 
@@ -127,15 +136,13 @@ impl Study {
     }
 
     /// Lines and filling, the filling as dense as the time limit allows.
-    fn filled(&self, lines: &[Edge], options: &VectorizeOptions, filling: impl Fn(f64) -> Vec<Vec<Point>>) -> Drawing {
+    fn filled(&self, lines: &[Edge], options: &VectorizeOptions, filling: impl Fn(f64) -> Vec<Stroke>) -> Drawing {
         let aim_s = TIME_AIM * options.time_max_s;
         let mut density = 1.0;
         let mut result = Drawing::default();
         for _ in 0..FILL_ROUNDS {
-            let filling = filling(density);
-            let filling = filling.iter().map(|points| self.stroke(points));
             let outlines = lines.iter().map(|edge| self.stroke(&edge.points));
-            result = ordered(outlines.chain(filling).collect(), options);
+            result = ordered(outlines.chain(filling(density)).collect(), options);
             let ratio = aim_s / estimate(&result).time_s.max(1e-3);
             if ratio > 0.95 && (ratio < 1.1 || density >= 1.0) {
                 break;
