@@ -20,6 +20,7 @@
 
 mod by_position;
 pub mod one_axis;
+pub mod seen;
 
 pub use by_position::weak_config;
 
@@ -28,7 +29,7 @@ use etherpen::config::{Axis, AxisMode, Config, Orientation, command_delay_ms};
 use etherpen::control::position::{PositionController, SETPOINTS_AHEAD};
 use etherpen::messages::{PathVertex, Sample};
 use etherpen::motion::Pen;
-use etherpen::robots::{AXES, MAIN_AXES};
+use etherpen::robots::{AXES, Kinematics, MAIN_AXES, Position};
 use std::f64::consts::{PI, TAU};
 
 /// Radius of the test motion's circles, mm.
@@ -162,6 +163,13 @@ fn middle_mm(config: &Config) -> ([f64; 3], f64) {
     // A low ceiling makes the motion flatter.
     let clearance_mm = CLEARANCE_MM.min(0.5 * (config.work_area.z_high_mm - low_mm)).max(0.0);
     ([x_mm, y_mm, low_mm + clearance_mm], clearance_mm)
+}
+
+/// The joints with the tool above the sheet's centre, rad; `None` if the robot has no pose there.
+pub fn joints_over_sheet_rad(config: &Config) -> Option<[f64; AXES]> {
+    let kinematics = Kinematics::new(&config.geometry).ok()?;
+    let [first, second, third] = kinematics.inverse(&Position::from(middle_mm(config).0)).ok()?;
+    Some([first, second, third, 0.0])
 }
 
 /// The test motion: circles above the paper that rise and fall, figures of eight, then strokes up and down, all with

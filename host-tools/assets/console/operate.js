@@ -2,6 +2,7 @@
 //
 // The firmware's mode determines what may be pressed; its state shows what happened.
 
+import { axes } from "./axes.js";
 import { $, duration, element, number, set, text } from "./dom.js";
 import { layerText } from "./jobs.js";
 
@@ -15,7 +16,7 @@ export function operate(link) {
   control(link);
   buttons(link);
   override(link);
-  jog(link);
+  axes(link, jog(link));
   sheet(link);
   positions(link);
 }
@@ -152,20 +153,24 @@ function override(link) {
 
 // The robot moves only while something is pressed: the message is repeated, and every way of releasing ends it. After a stop,
 // and after everything else that forbids jogs, a key has to be pressed anew. A key is known by its place on the keyboard: which
-// letter it is changes with Shift and NumLock while it is held.
+// letter it is changes with Shift and NumLock while it is held. Returns what makes a button move an axis alone while it is
+// pressed.
 function jog(link) {
   const pressed = new Map();
   let timer = 0;
   const velocity = () => {
     const speed = Number($("jog-speed").value);
     const sum = [0, 0, 0];
-    for (const direction of pressed.values()) direction.forEach((part, axis) => (sum[axis] += part * speed));
+    for (const direction of [...pressed.values()].filter(Array.isArray)) direction.forEach((part, axis) => (sum[axis] += part * speed));
     return sum;
   };
-  const send = () => link.send({ type: "jog", velocity_mm_s: velocity() });
-  const press = (key, direction) => {
+  const send = () => {
+    const alone = [...pressed.values()].findLast((wanted) => !Array.isArray(wanted));
+    link.send(alone ? { type: "jog_axis", ...alone } : { type: "jog", velocity_mm_s: velocity() });
+  };
+  const press = (key, wanted) => {
     if (!link.controls || !link.allows("jog") || link.stopping.asked) return;
-    pressed.set(key, direction);
+    pressed.set(key, wanted);
     send();
     timer ||= setInterval(send, JOG_MS);
   };
@@ -176,18 +181,18 @@ function jog(link) {
     send();
   };
   const releaseAll = () => [...pressed.keys()].forEach(release);
-  for (const button of $("jog").querySelectorAll("[data-jog]")) {
-    const direction = button.dataset.jog.split(",").map(Number);
+  const hold = (button, wanted) => {
     button.addEventListener("pointerdown", (event) => {
       button.setPointerCapture(event.pointerId);
-      press(button, direction);
+      press(button, wanted);
     });
     for (const name of ["pointerup", "pointercancel", "lostpointercapture", "contextmenu"]) button.addEventListener(name, () => release(button));
     button.addEventListener("keydown", (event) => {
-      if (!event.repeat && (event.key === " " || event.key === "Enter")) press(button, direction);
+      if (!event.repeat && (event.key === " " || event.key === "Enter")) press(button, wanted);
     });
     for (const name of ["keyup", "blur"]) button.addEventListener(name, () => release(button));
-  }
+  };
+  for (const button of $("jog").querySelectorAll("[data-jog]")) hold(button, button.dataset.jog.split(",").map(Number));
   const arrows = { ArrowLeft: [-1, 0, 0], ArrowRight: [1, 0, 0], ArrowUp: [0, 1, 0], ArrowDown: [0, -1, 0], PageUp: [0, 0, 1], PageDown: [0, 0, -1] };
   const toggle = $("jog-keys");
   toggle.addEventListener("click", () => {
@@ -208,6 +213,7 @@ function jog(link) {
   for (const name of ["closed", "control", "status", "stopping"]) {
     link.on(name, () => (link.controls && link.allows("jog") && !link.stopping.asked) || releaseAll());
   }
+  return hold;
 }
 
 // Where the sheet lies, from places where the pen touched it.

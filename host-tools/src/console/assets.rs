@@ -33,6 +33,7 @@ pub(super) const ASSETS: &[Asset] = &[
     asset!("/link.js", "link.js", "text/javascript; charset=utf-8"),
     asset!("/dom.js", "dom.js", "text/javascript; charset=utf-8"),
     asset!("/operate.js", "operate.js", "text/javascript; charset=utf-8"),
+    asset!("/axes.js", "axes.js", "text/javascript; charset=utf-8"),
     asset!("/paper.js", "paper.js", "text/javascript; charset=utf-8"),
     asset!("/robot.js", "robot.js", "text/javascript; charset=utf-8"),
     asset!("/plot.js", "plot.js", "text/javascript; charset=utf-8"),

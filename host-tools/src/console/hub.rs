@@ -18,6 +18,7 @@ use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::messages::{Sample, Status, Welcome};
 use etherpen::motion::Pen;
+use etherpen::robots::AXES;
 use serde::Serialize;
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -64,6 +65,8 @@ pub enum Topic {
     Measured,
     /// Where the sheet lies, and the touches that find it.
     Sheet,
+    /// The axes that move the tool, and what was seen of them.
+    Axes,
     /// The virtual segment.
     Segment,
     /// Error counters of the slave controllers.
@@ -83,6 +86,7 @@ impl Topic {
             Self::Variants => "variants",
             Self::Measured => "measured",
             Self::Sheet => "sheet",
+            Self::Axes => "axes",
             Self::Segment => "segment",
             Self::LineErrors => "line_errors",
         }
@@ -158,7 +162,7 @@ struct PoseView {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Known {
     /// Joint angles, rad.
-    pub joints_rad: [f32; 4],
+    pub joints_rad: [f32; AXES],
     /// Position of the platform, mm.
     pub platform_mm: [f32; 3],
 }
@@ -312,6 +316,13 @@ impl Hub {
     pub fn slaves(&self) -> u8 {
         let slaves = self.status.as_ref().map_or(0, |status| status.slaves.len());
         u8::try_from(slaves).unwrap_or(u8::MAX)
+    }
+
+    /// The joints where they were measured last; `None` without a reference.
+    pub fn joints_rad(&self) -> Option<[f32; AXES]> {
+        let known = self.known.as_ref();
+        let is_referenced = self.status.as_ref().is_some_and(|status| status.referenced);
+        known.filter(|_| is_referenced).map(|known| known.joints_rad)
     }
 
     /// Whether there is any viewer.

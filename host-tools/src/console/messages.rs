@@ -8,6 +8,7 @@
 use super::capture::Condition;
 use super::history::Bucket;
 use super::preparation::PageOptions;
+use crate::identification::seen::Seen;
 use etherpen::messages::PathVertex;
 use etherpen::motion::Pen;
 use serde::de::Error;
@@ -179,6 +180,20 @@ pub enum Request {
         /// Velocity.
         #[serde(deserialize_with = "reals")]
         velocity_mm_s: [f64; 3],
+    },
+    /// Move one axis alone while this is repeated, slowly.
+    JogAxis {
+        /// The axis, from 1.
+        axis: u8,
+        /// Whether it goes forwards.
+        forward: bool,
+    },
+    /// The operator saw what moved.
+    Saw {
+        /// The axis that was told to, from 1.
+        axis: u8,
+        /// What moved; null forgets it.
+        seen: Option<Seen>,
     },
     /// Plot these signals live.
     Watch {

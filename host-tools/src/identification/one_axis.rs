@@ -13,7 +13,7 @@ use etherpen::application::Mode;
 use etherpen::config::{Config, Orientation};
 use etherpen::messages::{PathVertex, Sample};
 use etherpen::motion::{Pen, WorkArea};
-use etherpen::robots::{AXES, JointAngles, LINEAR_MM_PER_RAD, MAIN_AXES, Position};
+use etherpen::robots::{AXES, JointAngles, Kinematics, LINEAR_MM_PER_RAD, MAIN_AXES, Position};
 
 /// How far a rotary axis turns, rad, and a linear one travels, mm, where there is room; a quarter of it at least.
 const TURN_RAD: f64 = 0.08;
@@ -26,6 +26,9 @@ const ACCELERATION_MM_S2: f64 = 200.0;
 /// How often the axis goes there and back, and vertices on each way.
 const TIMES: usize = 2;
 const STEPS: usize = 40;
+/// How far a joint turns to either side to find where the tool goes with it, rad, and the least way of the tool that tells, mm.
+const STEP_RAD: f64 = 1e-4;
+const LEAST_MM: f64 = 1e-6;
 /// How far the other joints may turn, rad: the rounding of the vertices and of the corners between them.
 pub const OTHERS_RAD: f64 = 1.5e-3;
 
@@ -130,6 +133,26 @@ impl OneAxis {
     }
 }
 
+/// Velocity of the tool, mm/s, with which one main axis, from 0, goes forwards and the others stand, at these joints. As slow
+/// as the motion of [`OneAxis`], slower where another axis's motor would go faster if it got the commands. `None` for an axis that
+/// does not move the tool, and where the joints are in no pose.
+#[must_use]
+pub fn velocity_mm_s(config: &Config, joints_rad: &[f64; AXES], axis: usize) -> Option<[f64; 3]> {
+    let mains = MAIN_AXES.min(config.bus.drives.into());
+    let kinematics = Kinematics::new(&config.geometry).ok().filter(|_| axis < mains)?;
+    let beside_mm = |by_rad: f64| {
+        let mut joints_rad = *joints_rad;
+        joints_rad[axis] += by_rad;
+        let place = kinematics.forward(&JointAngles(joints_rad)).ok()?;
+        Some([place.x_mm, place.y_mm, place.z_mm])
+    };
+    let (back_mm, forth_mm) = (beside_mm(-STEP_RAD)?, beside_mm(STEP_RAD)?);
+    let way_mm: [f64; 3] = std::array::from_fn(|k| forth_mm[k] - back_mm[k]);
+    let length_mm = way_mm.iter().map(|mm| mm * mm).sum::<f64>().sqrt();
+    let speed_mm_s = SPEED_MM_S * shortest_rad(config, axis, &[1.0; MAIN_AXES][..mains]).min(1.0);
+    (length_mm > LEAST_MM).then(|| way_mm.map(|mm| mm / length_mm * speed_mm_s))
+}
+
 /// How far an axis is to go, rad.
 fn meant_rad(config: &Config, axis: usize) -> f64 {
     match motion(config.geometry.kind(), axis) {
@@ -212,6 +235,40 @@ mod tests {
             }
             let none = OneAxis::new(&config, MAIN_AXES).expect_err("no axis that moves the tool");
             assert_eq!(none, "axis 4 does not move the tool");
+        }
+    }
+
+    #[test]
+    fn the_tool_s_velocity_moves_one_joint_alone() {
+        for machine in &MACHINES {
+            let config = machine.load().expect("a configuration");
+            let kinematics = Kinematics::new(&config.geometry).expect("a robot");
+            let mains = MAIN_AXES.min(config.bus.drives.into());
+            for axis in 0..mains {
+                let start = OneAxis::new(&config, axis).expect("room");
+                let mut joints_rad = [0.0; AXES];
+                joints_rad[..MAIN_AXES].copy_from_slice(&start.from_rad);
+                let velocity_mm_s = velocity_mm_s(&config, &joints_rad, axis).expect("a velocity");
+                let speed_mm_s = velocity_mm_s.iter().map(|speed| speed * speed).sum::<f64>().sqrt();
+                assert!(speed_mm_s > 1.0 && speed_mm_s <= SPEED_MM_S + 1e-9, "{speed_mm_s}");
+                // A millimetre that way.
+                let from = kinematics.forward(&JointAngles(joints_rad)).expect("a pose");
+                let share = 1.0 / speed_mm_s;
+                let to = Position::from([
+                    from.x_mm + share * velocity_mm_s[0],
+                    from.y_mm + share * velocity_mm_s[1],
+                    from.z_mm + share * velocity_mm_s[2],
+                ]);
+                let joints = kinematics.inverse(&to).expect("a pose");
+                for other in 0..mains {
+                    let turned_rad = joints[other] - joints_rad[other];
+                    match other == axis {
+                        true => assert!(turned_rad > 1e-3, "{axis}: {turned_rad}"),
+                        false => assert!(turned_rad.abs() < 3e-5, "{axis}, {other}: {turned_rad}"),
+                    }
+                }
+            }
+            assert_eq!(velocity_mm_s(&config, &[0.0; AXES], MAIN_AXES), None);
         }
     }
 

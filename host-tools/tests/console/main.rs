@@ -1,5 +1,6 @@
 //! The operator's console from the outside: over its socket, and in a browser.
 
+mod axes;
 mod browser;
 mod client;
 mod hostile;

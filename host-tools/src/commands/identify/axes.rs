@@ -6,6 +6,7 @@ use crate::cell::Physics;
 use crate::commands::operator::Operator;
 use crate::error::{ProgramError, code};
 use crate::identification::one_axis::{OTHERS_RAD, OneAxis};
+use crate::identification::seen::{Seen, advice};
 use crate::link::port::PortName;
 use etherpen::config::Config;
 use etherpen::robots::MAIN_AXES;
@@ -14,36 +15,17 @@ use serde::Serialize;
 /// Largest difference between what was measured and what was meant, as a share of it.
 const MEASURED_SHARE: f64 = 0.2;
 
-/// What follows after anything was changed: marks that were stored before belong to other motors or directions.
-const AGAIN: &str = "then find the pose anew (home by the switches, or measure the marks: `etherpen home --calibrate --store`), and \
-                     run `etherpen identify --axes` again";
-
-/// What a person saw.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Seen {
-    /// The axis moved, and as it was told.
-    AsTold,
-    /// The axis moved, the other way.
-    Reversed,
-    /// Another axis moved, from 1.
-    Other(u8),
-    /// Nothing that a person could name.
-    Unclear,
-}
-
-impl Seen {
-    /// An answer to the question about an axis, from 1, of several; `None` if it is none.
-    fn parse(answer: &str, axis: u8, axes: u8) -> Option<Self> {
-        match answer.trim().to_lowercase().as_str() {
-            "" | "y" | "yes" => Some(Self::AsTold),
-            "r" | "reversed" => Some(Self::Reversed),
-            "n" | "no" => Some(Self::Unclear),
-            number => match number.parse() {
-                Ok(seen) if seen == axis => Some(Self::AsTold),
-                Ok(seen) if (1..=axes).contains(&seen) => Some(Self::Other(seen)),
-                _ => None,
-            },
-        }
+/// An answer to the question about an axis, from 1, of several; `None` if it is none.
+fn parse(answer: &str, axis: u8, axes: u8) -> Option<Seen> {
+    match answer.trim().to_lowercase().as_str() {
+        "" | "y" | "yes" => Some(Seen::AsTold),
+        "r" | "reversed" => Some(Seen::Reversed),
+        "n" | "no" => Some(Seen::Unclear),
+        number => match number.parse() {
+            Ok(seen) if seen == axis => Some(Seen::AsTold),
+            Ok(seen) if (1..=axes).contains(&seen) => Some(Seen::Other(seen)),
+            _ => None,
+        },
     }
 }
 
@@ -77,6 +59,19 @@ impl Watched {
         // The way begins near the first vertex, not at it.
         let near = OTHERS_RAD * self.per_rad;
         (self.measured - self.by.abs()).abs() < MEASURED_SHARE * self.by.abs() + near
+    }
+
+    /// What to do where a person saw it move as told, and its encoder did not.
+    fn unmeasured(&self) -> Option<String> {
+        (self.seen == Seen::AsTold && !self.has_moved()).then(|| {
+            format!(
+                "axis {} was measured to move by {:.3} {unit} instead of {:.3}: look at its encoder and its gear",
+                self.axis,
+                self.measured,
+                self.by.abs(),
+                unit = self.unit
+            )
+        })
     }
 }
 
@@ -128,13 +123,9 @@ pub(super) fn run(
             &mut operator,
         )?);
     }
-    let mut advice = advice(&watched);
-    if watched
-        .iter()
-        .any(|axis| matches!(axis.seen, Seen::Other(_) | Seen::Reversed))
-    {
-        advice.push(AGAIN.to_owned());
-    }
+    let seen: Vec<(u8, Seen)> = watched.iter().map(|axis| (axis.axis, axis.seen)).collect();
+    let unmeasured = watched.iter().filter_map(Watched::unmeasured);
+    let advice = unmeasured.chain(advice(&seen)).collect();
     let answer = Answer {
         confirmed: watched.iter().all(|axis| axis.seen == Seen::AsTold && axis.has_moved()),
         advice,
@@ -203,7 +194,7 @@ fn watch(
              instead; n: I cannot tell"
         );
         let said = operator.answer().ok_or_else(unanswered)?;
-        match Seen::parse(&said, axis, axes) {
+        match parse(&said, axis, axes) {
             Some(seen) => break seen,
             None => eprintln!("\"{}\" is none of the answers", said.trim()),
         }
@@ -226,62 +217,9 @@ fn watch(
     })
 }
 
-/// What to do, a line for each finding. Two axes that each moved instead of the other are one.
-fn advice(watched: &[Watched]) -> Vec<String> {
-    let instead_of = |axis: u8| match watched.iter().find(|watched| watched.axis == axis)?.seen {
-        Seen::Other(seen) => Some(seen),
-        _ => None,
-    };
-    let line = |watched: &Watched| {
-        let axis = watched.axis;
-        Some(match watched.seen {
-            Seen::AsTold if watched.has_moved() => return None,
-            Seen::AsTold => format!(
-                "axis {axis} was measured to move by {:.3} {unit} instead of {:.3}: look at its encoder and its gear",
-                watched.measured,
-                watched.by.abs(),
-                unit = watched.unit
-            ),
-            Seen::Other(other) if instead_of(other) == Some(axis) && other < axis => return None,
-            Seen::Other(other) if instead_of(other) == Some(axis) => format!(
-                "axes {axis} and {other} are exchanged: exchange the places of their drives on the bus, or the motors' cables (power and \
-                 encoder together)"
-            ),
-            Seen::Other(other) => format!(
-                "axis {other} moved instead of axis {axis}: [[axes]] stand in the order of the drives on the bus; put the drives, or \
-                 their motors' cables (power and encoder together), into that order"
-            ),
-            Seen::Reversed => {
-                format!("axis {axis} goes the other way: change the sign of its gear in the configuration")
-            }
-            Seen::Unclear => format!(
-                "axis {axis} is not confirmed: look at its drive, its brake and its motor's cable, then `etherpen identify --axes \
-                 --axis {axis}` moves it alone"
-            ),
-        })
-    };
-    watched.iter().filter_map(line).collect()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
-
-    fn watched(seen: &[Seen]) -> Vec<Watched> {
-        let axis = |(axis, seen): (u8, &Seen)| Watched {
-            axis,
-            name: String::new(),
-            by: 0.08,
-            unit: "rad",
-            tool_mm: [0.0; 3],
-            measured: 0.08,
-            moved: None,
-            reversed: false,
-            seen: *seen,
-            per_rad: 1.0,
-        };
-        (1..).zip(seen).map(axis).collect()
-    }
 
     #[test]
     fn answers_are_understood_and_others_asked_again() {
@@ -297,23 +235,7 @@ mod tests {
             ("-1", None),
             ("maybe", None),
         ] {
-            assert_eq!(Seen::parse(said, 2, 3), seen, "{said}");
+            assert_eq!(parse(said, 2, 3), seen, "{said}");
         }
-    }
-
-    #[test]
-    fn exchanged_reversed_and_turned_round_axes_have_their_advice() {
-        let told = |seen: &[Seen]| advice(&watched(seen)).join("\n");
-        assert_eq!(told(&[Seen::AsTold; 3]), "");
-        let exchanged = told(&[Seen::Other(3), Seen::AsTold, Seen::Other(1)]);
-        assert!(exchanged.starts_with("axes 1 and 3 are exchanged"), "{exchanged}");
-        assert_eq!(exchanged.lines().count(), 1);
-        let round = told(&[Seen::Other(2), Seen::Other(3), Seen::Other(1)]);
-        assert_eq!(round.lines().count(), 3);
-        let both = told(&[Seen::AsTold, Seen::Reversed, Seen::Unclear]);
-        assert!(
-            both.contains("axis 2 goes the other way") && both.contains("axis 3 is not confirmed"),
-            "{both}"
-        );
     }
 }

@@ -22,7 +22,9 @@ impl Inbox {
         match request {
             Request::Alive if self.0.iter().any(same_kind) => return true,
             Request::Watch { .. } | Request::Range { .. } => self.0.retain(|other| !same_kind(other)),
-            Request::Jog { .. } if self.0.back().is_some_and(same_kind) => drop(self.0.pop_back()),
+            Request::Jog { .. } | Request::JogAxis { .. } if self.0.back().is_some_and(same_kind) => {
+                drop(self.0.pop_back())
+            }
             _ => {}
         }
         let has_room = self.0.len() < WAITING_MAX;

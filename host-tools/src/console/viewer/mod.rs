@@ -368,6 +368,7 @@ impl Viewer {
         match request {
             Request::Command { .. }
             | Request::Jog { .. }
+            | Request::JogAxis { .. }
             | Request::Start { .. }
             | Request::Continue { .. }
             | Request::PenIsIn { .. }
@@ -382,6 +383,18 @@ impl Viewer {
             Request::Jog { velocity_mm_s } => {
                 self.jogged_ms.store(now_ms.max(1), Ordering::Relaxed);
                 console.jog(heard, velocity_mm_s.map(|speed| speed as f32));
+            }
+            Request::JogAxis { axis, forward } => match console.axis_velocity_mm_s(axis, forward) {
+                Ok(velocity_mm_s) => {
+                    self.jogged_ms.store(now_ms.max(1), Ordering::Relaxed);
+                    console.jog(heard, velocity_mm_s);
+                }
+                Err(why) => self.refuse(why),
+            },
+            Request::Saw { axis, seen } => {
+                if let Err(why) = console.saw(axis, seen) {
+                    self.refuse(why);
+                }
             }
             Request::Inject { fault } => {
                 if let Err(why) = console.inject(fault) {

@@ -1,0 +1,47 @@
+// The check of the axes: while a button is pressed one axis moves alone, then the operator says which one moved.
+
+import { choice } from "./choice.js";
+import { $, element, keyed, set, text } from "./dom.js";
+
+const UNSEEN = "";
+const seenOf = (value, axis) => {
+  if (value === UNSEEN) return null;
+  const other = Number(value);
+  if (!other) return value;
+  return other === axis ? "as_told" : { other };
+};
+
+// `hold(button, wanted)` moves while the button is pressed.
+export function axes(link, hold) {
+  const may = () => link.controls && link.allows("jog");
+  const row = ({ axis, name, way }) => {
+    const others = link.state.axes.axes.filter((other) => other.axis !== axis);
+    const answers = [[UNSEEN, "not said"], ["as_told", `right: ${way}`], ["reversed", "reversed"], ...others.map((other) => [other.axis, other.name]), ["unclear", "cannot tell"]];
+    const answer = choice(`What moved instead of axis ${axis}, ${name}, or whether it did`, answers);
+    answer.addEventListener("change", () => link.send({ type: "saw", axis, seen: seenOf(answer.value, axis) }));
+    const ways = [["−", false], ["+", true]].map(([sign, forward]) => {
+      const button = element("button", { type: "button", ariaLabel: `Move axis ${axis}, ${name}, ${forward ? "forwards" : "back"}` }, sign);
+      hold(button, { axis, forward });
+      return button;
+    });
+    const [back, forth] = ways;
+    const shown = element("div", { className: "axis", role: "group", ariaLabel: `Axis ${axis}, ${name}` }, element("span", {}, name), back, forth, answer);
+    return [shown, ({ seen }) => {
+      for (const button of ways) set(button, { disabled: !may() });
+      const value = seen === null ? UNSEEN : typeof seen === "string" ? seen : String(seen.other);
+      if (answer.value !== value) answer.value = value;
+      set(answer, { disabled: !link.controls });
+    }];
+  };
+  const show = () => {
+    const check = link.state.axes;
+    $("axes").hidden = !check;
+    if (!check) return;
+    keyed($("axes-list"), check.axes, ({ axis }) => axis, row);
+    const said = check.axes.filter(({ seen }) => seen !== null).length;
+    text($("axes-summary"), check.confirmed ? "all as configured" : said ? `${said} of ${check.axes.length} said` : "which one is which");
+    keyed($("axes-advice"), check.advice, (line) => line, (line) => [element("p", {}, line), () => {}]);
+  };
+  for (const name of ["axes", "status", "control", "open", "closed"]) link.on(name, show);
+  show();
+}
