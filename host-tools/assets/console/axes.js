@@ -11,12 +11,15 @@ const seenOf = (value, axis) => {
   return other === axis ? "as_told" : { other };
 };
 
+// The advice numbers axes.
+const called = ({ axis, name }) => (name.endsWith(` ${axis}`) ? name : `${axis} ${name}`);
+
 // `hold(button, wanted)` moves while the button is pressed.
 export function axes(link, hold) {
   const may = () => link.controls && link.allows("jog");
   const row = ({ axis, name, way }) => {
     const others = link.state.axes.axes.filter((other) => other.axis !== axis);
-    const answers = [[UNSEEN, "not said"], ["as_told", `right: ${way}`], ["reversed", "reversed"], ...others.map((other) => [other.axis, other.name]), ["unclear", "cannot tell"]];
+    const answers = [[UNSEEN, "not said"], ["as_told", `right: ${way}`], ["reversed", "reversed"], ...others.map((other) => [other.axis, called(other)]), ["unclear", "cannot tell"]];
     const answer = choice(`What moved instead of axis ${axis}, ${name}, or whether it did`, answers);
     answer.addEventListener("change", () => link.send({ type: "saw", axis, seen: seenOf(answer.value, axis) }));
     const ways = [["−", false], ["+", true]].map(([sign, forward]) => {
@@ -25,7 +28,7 @@ export function axes(link, hold) {
       return button;
     });
     const [back, forth] = ways;
-    const shown = element("div", { className: "axis", role: "group", ariaLabel: `Axis ${axis}, ${name}` }, element("span", {}, name), back, forth, answer);
+    const shown = element("div", { className: "axis", role: "group", ariaLabel: `Axis ${axis}, ${name}` }, element("span", {}, called({ axis, name })), back, forth, answer);
     return [shown, ({ seen }) => {
       for (const button of ways) set(button, { disabled: !may() });
       const value = seen === null ? UNSEEN : typeof seen === "string" ? seen : String(seen.other);

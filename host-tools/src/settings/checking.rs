@@ -40,6 +40,9 @@ pub enum Gravity {
     Warning,
 }
 
+/// Number of steps along each side of a sheet at which its inside is looked at.
+const PLACES_A_SIDE: u8 = 40;
+
 /// One finding.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Finding {
@@ -60,25 +63,43 @@ impl std::fmt::Display for Finding {
     }
 }
 
-/// Which corner of its sheet a machine does not reach, why, and what to do; `None` if it reaches all.
+/// Which corner of its sheet a machine does not reach, or that it does not reach the middle, why, and what to do; `None` if it
+/// reaches all of them.
 #[must_use]
 pub fn unreached(config: &Config, area: &WorkArea) -> Option<String> {
+    let corners = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5), (0.0, 0.0)];
+    let where_and_why = first_unreached(config, area, &corners)?;
+    Some(format!(
+        "{where_and_why}; move or shrink [paper], or correct [work_area] and [geometry]"
+    ))
+}
+
+/// A place inside the sheet that a machine does not reach although it reaches the corners, as at its base, and why.
+fn hole(config: &Config, area: &WorkArea) -> Option<String> {
+    let steps = || (0..=PLACES_A_SIDE).map(|step| f64::from(step) / f64::from(PLACES_A_SIDE) - 0.5);
+    let places: Vec<(f64, f64)> = steps()
+        .flat_map(|along| steps().map(move |across| (across, along)))
+        .collect();
+    let where_and_why = first_unreached(config, area, &places)?;
+    Some(format!("{where_and_why}; a drawing that comes there is refused"))
+}
+
+/// The first of these places of the sheet, as parts of its sides from its middle, that a machine does not reach, and why.
+fn first_unreached(config: &Config, area: &WorkArea, places: &[(f64, f64)]) -> Option<String> {
     let paper = &config.paper;
     let plane = paper.plane();
     let ([x, y], [width, height]) = (paper.centre_mm, paper.size_mm);
-    let corners = [(-0.5, -0.5), (0.5, -0.5), (0.5, 0.5), (-0.5, 0.5), (0.0, 0.0)];
     let lifts_mm = [0.0, paper.pen_lift_mm];
     let places = lifts_mm
         .iter()
-        .flat_map(|lift_mm| corners.map(|corner| (corner, *lift_mm)));
+        .flat_map(|lift_mm| places.iter().map(move |place| (place, *lift_mm)));
     for ((across, along), lift_mm) in places {
         let (x_mm, y_mm) = (x + across * width, y + along * height);
         let z_mm = plane.z_at_mm(x_mm, y_mm) + lift_mm;
         if let Err(why) = area.check(&Position { x_mm, y_mm, z_mm }) {
             let what = if lift_mm > 0.0 { " with the pen lifted" } else { "" };
             return Some(format!(
-                "the machine does not reach x {x_mm:.1}, y {y_mm:.1}, z {z_mm:.1} mm of its sheet{what}: {}; move or shrink \
-                 [paper], or correct [work_area] and [geometry]",
+                "the machine does not reach x {x_mm:.1}, y {y_mm:.1}, z {z_mm:.1} mm of its sheet{what}: {}",
                 text::outside(&why)
             ));
         }
@@ -389,6 +410,13 @@ impl Checks<'_> {
                 text,
             });
             return;
+        }
+        if let Some(text) = hole(self.config, &area) {
+            found.push(Finding {
+                gravity: Gravity::Warning,
+                line: self.places.of("paper", &["centre_mm", "size_mm"]),
+                text,
+            });
         }
         let volume = &self.config.work_area;
         let [[left, right], [front, back]] = [volume.x_mm, volume.y_mm];

@@ -14,7 +14,7 @@ use std::process::{Command, Stdio};
 const TIME_S: f64 = 80.0;
 /// Largest ratio of the line's length to that of LKH's tour.
 const RATIO_MAX: f64 = 1.05;
-const CASE: &str = "tour";
+const CASE: &str = "one_line_mm";
 /// The photographs.
 const PHOTOGRAPHS: [&str; 2] = ["astronaut.png", "camera.png"];
 /// Reads points, one a line; prints the length of LKH's tour. Distances are whole micrometres.

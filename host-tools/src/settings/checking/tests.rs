@@ -104,6 +104,28 @@ fn a_sheet_and_a_work_area_outside_the_reach_are_named() {
 }
 
 #[test]
+fn a_hole_in_the_sheet_is_told_though_its_corners_and_its_middle_are_reached() {
+    let found = finding(
+        SCARA,
+        "centre_mm = [260.0, 0.0]\nsize_mm = [200.0, 200.0]",
+        "centre_mm = [180.0, 0.0]\nsize_mm = [200.0, 400.0]",
+        "centre_mm",
+    );
+    assert_eq!(found.gravity, Gravity::Warning);
+    // Nearer to the shoulder than the ring's inner edge, 140 mm.
+    let number = |name: &str| -> f64 {
+        let (_, rest) = found.text.split_once(&format!("{name} ")).expect(name);
+        rest.split(',')
+            .next()
+            .and_then(|number| number.parse().ok())
+            .expect(name)
+    };
+    let away_mm = number("x").hypot(number("y"));
+    assert!((80.0..140.0).contains(&away_mm), "{found}");
+    assert!(found.text.ends_with("a drawing that comes there is refused"), "{found}");
+}
+
+#[test]
 fn limits_of_zero_are_named_in_the_unit_of_the_axis() {
     let found = finding(
         GANTRY,
