@@ -18,7 +18,8 @@ const called = ({ axis, name }) => (name.endsWith(` ${axis}`) ? name : `${axis} 
 export function axes(link, hold) {
   const may = () => link.controls && link.allows("jog");
   const row = ({ axis, name, way }) => {
-    const others = link.state.axes.axes.filter((other) => other.axis !== axis);
+    const { axes: checked, others: further } = link.state.axes;
+    const others = [...checked, ...further].filter((other) => other.axis !== axis);
     const answers = [[UNSEEN, "not said"], ["as_told", `right: ${way}`], ["reversed", "reversed"], ...others.map((other) => [other.axis, called(other)]), ["unclear", "cannot tell"]];
     const answer = choice(`What moved instead of axis ${axis}, ${name}, or whether it did`, answers);
     answer.addEventListener("change", () => link.send({ type: "saw", axis, seen: seenOf(answer.value, axis) }));

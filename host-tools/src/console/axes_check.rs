@@ -33,10 +33,19 @@ struct CheckedAxis {
     seen: Option<Seen>,
 }
 
+/// An axis that does not move the tool, and may be exchanged with one that does.
+#[derive(Debug, Serialize)]
+struct OtherAxis {
+    /// The axis, from 1.
+    axis: u8,
+    name: String,
+}
+
 /// The check as shown on the page.
 #[derive(Debug, Serialize)]
 pub(super) struct AxesView {
     axes: Vec<CheckedAxis>,
+    others: Vec<OtherAxis>,
     /// Whether each axis moved as it was told.
     confirmed: bool,
     /// What to do about those that did not.
@@ -66,10 +75,15 @@ pub(super) fn view(config: &Config, seen: &AxesSeen) -> AxesView {
         seen: *seen,
     });
     let checked: Vec<CheckedAxis> = checked.collect();
+    let others = axes(config).into_iter().skip(MAIN_AXES).map(|axis| OtherAxis {
+        axis: axis.index as u8 + 1,
+        name: axis.name,
+    });
     let told = checked.iter().filter_map(|axis| Some((axis.axis, axis.seen?)));
     AxesView {
         confirmed: checked.iter().all(|axis| axis.seen == Some(Seen::AsTold)),
         advice: advice(&told.collect::<Vec<_>>()),
+        others: others.collect(),
         axes: checked,
     }
 }
@@ -141,6 +155,7 @@ mod tests {
             let drives = usize::from(config.bus.drives).min(MAIN_AXES);
             let none = view(&config, &AxesSeen::default());
             assert_eq!(none.axes.len(), drives);
+            assert_eq!(none.others.len(), usize::from(config.bus.drives) - drives);
             assert!(none.axes.iter().all(|axis| !axis.way.is_empty()), "{none:?}");
             assert!(!none.confirmed && none.advice.is_empty());
             let all = view(&config, &[Some(Seen::AsTold); MAIN_AXES]);

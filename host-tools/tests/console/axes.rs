@@ -89,7 +89,7 @@ fn what_the_operator_says_has_its_advice_until_the_robot_loses_its_place() {
     let summary = |words: &str| format!("document.getElementById('axes-summary').textContent === '{words}'");
     let advice = "document.getElementById('axes-advice').textContent";
     browser.until(&summary("which one is which"));
-    // Each instead of the other: the list has "not said", the three ways, then the two other axes.
+    // Each instead of the other: the list has "not said", right, reversed, then the three other axes.
     say(browser, 1, 4);
     say(browser, 2, 4);
     browser.until(&format!("{advice}.startsWith('axes 1 and 2 are exchanged')"));
