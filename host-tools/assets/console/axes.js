@@ -17,24 +17,28 @@ const called = ({ axis, name }) => (name.endsWith(` ${axis}`) ? name : `${axis} 
 // `hold(button, wanted)` moves while the button is pressed.
 export function axes(link, hold) {
   const may = () => link.controls && link.allows("jog");
-  const row = ({ axis, name, way }) => {
+  const row = ({ axis, name }) => {
     const { axes: checked, others: further } = link.state.axes;
     const others = [...checked, ...further].filter((other) => other.axis !== axis);
-    const answers = [[UNSEEN, "not said"], ["as_told", `right: ${way}`], ["reversed", "reversed"], ...others.map((other) => [other.axis, called(other)]), ["unclear", "cannot tell"]];
-    const answer = choice(`What moved instead of axis ${axis}, ${name}, or whether it did`, answers);
+    const answers = (way) => [[UNSEEN, "not checked"], ["as_told", way ? `right: ${way}` : "right"], ["reversed", "reversed"], ...others.map((other) => [other.axis, called(other)]), ["unclear", "cannot tell"]];
+    const answer = choice(`What moved when axis ${axis}, ${name}, was told to go forwards`, answers(""));
     answer.addEventListener("change", () => link.send({ type: "saw", axis, seen: seenOf(answer.value, axis) }));
     const ways = [["−", false], ["+", true]].map(([sign, forward]) => {
       const button = element("button", { type: "button", ariaLabel: `Move axis ${axis}, ${name}, ${forward ? "forwards" : "back"}` }, sign);
       hold(button, { axis, forward });
       return button;
     });
-    const [back, forth] = ways;
-    const shown = element("div", { className: "axis", role: "group", ariaLabel: `Axis ${axis}, ${name}` }, element("span", {}, called({ axis, name })), back, forth, answer);
-    return [shown, ({ seen }) => {
+    let told = null;
+    let heard = null;
+    const shown = element("div", { className: "axis", role: "group", ariaLabel: `Axis ${axis}, ${name}` }, element("span", {}, called({ axis, name })), ...ways, answer);
+    return [shown, ({ seen, moved, way }) => {
       for (const button of ways) set(button, { disabled: !may() });
+      if (told !== way) answer.options = answers(way);
+      told = way;
       const value = seen === null ? UNSEEN : typeof seen === "string" ? seen : String(seen.other);
-      if (answer.value !== value) answer.value = value;
-      set(answer, { disabled: !link.controls });
+      if (heard !== value) answer.value = value;
+      heard = value;
+      set(answer, { disabled: !link.controls || !moved });
     }];
   };
   const show = () => {
@@ -42,8 +46,8 @@ export function axes(link, hold) {
     $("axes").hidden = !check;
     if (!check) return;
     keyed($("axes-list"), check.axes, ({ axis }) => axis, row);
-    const said = check.axes.filter(({ seen }) => seen !== null).length;
-    text($("axes-summary"), check.confirmed ? "all as configured" : said ? `${said} of ${check.axes.length} said` : "which one is which");
+    const answered = check.axes.filter(({ seen }) => seen !== null).length;
+    text($("axes-summary"), check.confirmed ? "all as configured" : answered ? `${answered} of ${check.axes.length} checked` : "not checked");
     keyed($("axes-advice"), check.advice, (line) => line, (line) => [element("p", {}, line), () => {}]);
   };
   for (const name of ["axes", "status", "control", "open", "closed"]) link.on(name, show);

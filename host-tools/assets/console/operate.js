@@ -161,15 +161,18 @@ function jog(link) {
   const velocity = () => {
     const speed = Number($("jog-speed").value);
     const sum = [0, 0, 0];
-    for (const direction of [...pressed.values()].filter(Array.isArray)) direction.forEach((part, axis) => (sum[axis] += part * speed));
+    for (const direction of pressed.values()) direction.forEach((part, axis) => (sum[axis] += part * speed));
     return sum;
   };
   const send = () => {
-    const alone = [...pressed.values()].findLast((wanted) => !Array.isArray(wanted));
+    const alone = [...pressed.values()].find((wanted) => !Array.isArray(wanted));
     link.send(alone ? { type: "jog_axis", ...alone } : { type: "jog", velocity_mm_s: velocity() });
   };
   const press = (key, wanted) => {
     if (!link.controls || !link.allows("jog") || link.stopping.asked) return;
+    // One axis moves alone: what else is held has to be pressed anew.
+    const isAlone = (held) => !Array.isArray(held);
+    for (const [other, held] of pressed) if (isAlone(held) || isAlone(wanted)) pressed.delete(other);
     pressed.set(key, wanted);
     send();
     timer ||= setInterval(send, JOG_MS);

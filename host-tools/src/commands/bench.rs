@@ -25,7 +25,7 @@ enum Bench {
     /// console's memory.
     Console(Options),
     /// The vectoriser on the sample photographs (time, strokes, tone, edges); the order of the sample vectors compared
-    /// with vpype's (linemerge linesort --two-opt); the length of two photographs as one line beside LKH's (some minutes each);
+    /// with vpype's (linemerge linesort --two-opt); the length of two photographs as one line beside LKH's (a minute or more each);
     /// ten photographs in every style beside the drawings of hatched and
     /// plotline in the same drawing time, judged by dlib (whose face it is) and mediapipe (where its points are). vpype, the
     /// other programs, the judges and most photographs come from PyPI and are set up in separate folders below the target
@@ -46,7 +46,7 @@ enum Bench {
 /// Options of the benchmark of drawings.
 #[derive(clap::Args, Debug)]
 struct DrawingOptions {
-    /// No portraits and no tours of LKH, which take about a quarter of an hour each.
+    /// No portraits and no tours of LKH, which take about a quarter of an hour.
     #[arg(long)]
     quick: bool,
     /// The PNG to write with the portraits side by side: a row for each photograph, with the photograph, the five styles

@@ -1,35 +1,56 @@
 //! The check of the axes: one alone moves while the operator presses, who then says which one moved.
 //!
 //! Drives that are exchanged, or turn the other way, are consistent with themselves; only somebody who sees the machine can
-//! tell.
+//! tell. The work area is no protection against them, so that a press moves an axis by a few millimetres and no farther.
 //!
-//! Invariant: what was seen does not outlive the reference with which it was seen.
+//! Invariants: a press never moves an axis farther than [`way_max_rad`]; only an axis that was moved has an answer; no answer
+//! outlives the reference with which it was given.
 
 use super::hub::{Level, Topic};
+use super::page_text::for_page;
 use super::{Console, lock};
 use crate::axes::axes;
-use crate::identification::joints_over_sheet_rad;
-use crate::identification::one_axis::velocity_mm_s;
+use crate::identification::one_axis::{velocity_mm_s, way_max_rad};
 use crate::identification::seen::{Seen, advice};
 use etherpen::application::Mode;
 use etherpen::config::Config;
 use etherpen::messages::Status;
-use etherpen::robots::MAIN_AXES;
+use etherpen::robots::{AXES, MAIN_AXES};
 use serde::Serialize;
 
-/// Least part of a velocity that is told as a direction.
+/// Smallest share of the speed for which an axis of the frame is named.
 const PART_MIN: f64 = 0.2;
+/// Silence after which a request is a new press, ms.
+const PRESS_MS: u64 = 300;
 
-/// What was seen of each axis that moves the tool.
-pub(super) type AxesSeen = [Option<Seen>; MAIN_AXES];
+/// A press of a button.
+#[derive(Clone, Copy, Debug)]
+struct Press {
+    axis: usize,
+    forward: bool,
+    /// Where the axis was when it began, rad.
+    from_rad: f64,
+    /// When it was heard last, ms.
+    heard_ms: u64,
+}
+
+/// What is known of the axes that move the tool.
+#[derive(Debug, Default)]
+pub(super) struct AxesCheck {
+    seen: [Option<Seen>; MAIN_AXES],
+    moved: [bool; MAIN_AXES],
+    press: Option<Press>,
+}
 
 #[derive(Debug, Serialize)]
 struct CheckedAxis {
     /// The axis, from 1.
     axis: u8,
     name: String,
-    /// Where the tool goes above the sheet's centre when the axis goes forwards: `x +, z −`.
+    /// Where the tool goes from where it is when the axis goes forwards: `x +, z −`. Empty without a reference.
     way: String,
+    /// Whether a press has moved it.
+    moved: bool,
     seen: Option<Seen>,
 }
 
@@ -56,96 +77,156 @@ pub(super) struct AxesView {
 fn way(velocity_mm_s: &[f64; 3]) -> String {
     let speed_mm_s = velocity_mm_s.iter().map(|part| part * part).sum::<f64>().sqrt();
     let parts = ["x", "y", "z"].iter().zip(velocity_mm_s);
-    let told = parts.filter(|(_, part)| part.abs() >= PART_MIN * speed_mm_s);
-    let told: Vec<String> = told
+    let named = parts.filter(|(_, part)| part.abs() >= PART_MIN * speed_mm_s);
+    let named: Vec<String> = named
         .map(|(name, part)| format!("{name} {}", if *part < 0.0 { "−" } else { "+" }))
         .collect();
-    told.join(", ")
+    named.join(", ")
 }
 
-/// The check with what was seen so far.
-pub(super) fn view(config: &Config, seen: &AxesSeen) -> AxesView {
-    let joints_rad = joints_over_sheet_rad(config);
-    let checked = axes(config).into_iter().zip(seen).map(|(axis, seen)| CheckedAxis {
-        axis: axis.index as u8 + 1,
-        way: joints_rad
-            .and_then(|joints_rad| velocity_mm_s(config, &joints_rad, axis.index))
-            .map_or_else(String::new, |velocity| way(&velocity)),
-        name: axis.name,
-        seen: *seen,
-    });
+/// The check with the robot's joints where they are; `None` without a reference.
+fn view(config: &Config, check: &AxesCheck, joints_rad: Option<&[f64; AXES]>) -> AxesView {
+    let states = check.seen.iter().zip(check.moved);
+    let checked = axes(config)
+        .into_iter()
+        .zip(states)
+        .map(|(axis, (seen, moved))| CheckedAxis {
+            axis: axis.index as u8 + 1,
+            way: joints_rad
+                .and_then(|joints_rad| velocity_mm_s(config, joints_rad, axis.index))
+                .map_or_else(String::new, |velocity| way(&velocity)),
+            name: axis.name,
+            moved,
+            seen: *seen,
+        });
     let checked: Vec<CheckedAxis> = checked.collect();
     let others = axes(config).into_iter().skip(MAIN_AXES).map(|axis| OtherAxis {
         axis: axis.index as u8 + 1,
         name: axis.name,
     });
-    let told = checked.iter().filter_map(|axis| Some((axis.axis, axis.seen?)));
+    let seen = checked.iter().filter_map(|axis| Some((axis.axis, axis.seen?)));
+    let seen: Vec<(u8, Seen)> = seen.collect();
     AxesView {
         confirmed: checked.iter().all(|axis| axis.seen == Some(Seen::AsTold)),
-        advice: advice(&told.collect::<Vec<_>>()),
+        advice: advice(&seen).iter().map(|line| for_page(line)).collect(),
         others: others.collect(),
         axes: checked,
     }
 }
 
-impl Console {
-    /// Velocity of the tool, mm/s, that moves an axis, from 1, alone from where the joints are now.
-    ///
-    /// # Errors
-    /// Why it cannot be moved alone.
-    pub(super) fn axis_velocity_mm_s(&self, axis: u8, forward: bool) -> Result<[f32; 3], &'static str> {
-        let joints_rad = self.hub().joints_rad().ok_or("the robot is not homed")?.map(f64::from);
-        let index = usize::from(axis).checked_sub(1).ok_or("axes are numbered from 1")?;
-        let velocity = velocity_mm_s(&self.config, &joints_rad, index);
-        let velocity = velocity.ok_or("this axis does not move the tool here")?;
-        let sign = if forward { 1.0 } else { -1.0 };
+/// The check before anything was moved.
+pub(super) fn untried(config: &Config) -> AxesView {
+    view(config, &AxesCheck::default(), None)
+}
+
+impl AxesCheck {
+    /// The velocity of the tool, mm/s, that a press of an axis asks for; 0 once the press has moved it far enough.
+    fn pressed(
+        &mut self,
+        config: &Config,
+        joints_rad: &[f64; AXES],
+        (axis, forward): (usize, bool),
+        now_ms: u64,
+    ) -> Result<[f32; 3], &'static str> {
+        if !joints_rad.iter().all(|angle| angle.is_finite()) {
+            return Err("the drives do not report where the axes are");
+        }
+        let velocity = velocity_mm_s(config, joints_rad, axis).ok_or("this axis does not move the tool here")?;
+        let at_rad = joints_rad.get(axis).copied().unwrap_or_default();
+        let is_same = |press: &Press| {
+            (press.axis, press.forward) == (axis, forward) && now_ms.saturating_sub(press.heard_ms) < PRESS_MS
+        };
+        let from_rad = self.press.filter(is_same).map_or(at_rad, |press| press.from_rad);
+        self.press = Some(Press {
+            axis,
+            forward,
+            from_rad,
+            heard_ms: now_ms,
+        });
+        if let Some(moved) = self.moved.get_mut(axis) {
+            *moved = true;
+        }
+        let sign = match (at_rad - from_rad).abs() < way_max_rad(config, axis) {
+            true if forward => 1.0,
+            true => -1.0,
+            false => 0.0,
+        };
         Ok(velocity.map(|part| (sign * part) as f32))
     }
 
-    /// Takes what the operator saw of an axis, from 1; nothing forgets what was said of it.
-    ///
-    /// # Errors
-    /// There is no such axis.
-    pub(super) fn saw(&self, axis: u8, what: Option<Seen>) -> Result<(), &'static str> {
-        let drives = self.config.bus.drives;
-        let exists = |axis: u8| (1..=drives).contains(&axis);
+    /// Takes an answer about an axis, from 0.
+    fn answer(&mut self, axis: usize, drives: u8, what: Option<Seen>) -> Result<(), &'static str> {
         let what = match what {
-            Some(Seen::Other(other)) if !exists(other) => return Err("there is no such axis"),
-            Some(Seen::Other(other)) if other == axis => Some(Seen::AsTold),
+            Some(Seen::Other(other)) if !(1..=drives).contains(&other) => return Err("there is no such axis"),
+            Some(Seen::Other(other)) if usize::from(other) == axis + 1 => Some(Seen::AsTold),
             what => what,
         };
-        let mut seen = lock(&self.axes_seen);
-        let place = seen.get_mut(usize::from(axis).wrapping_sub(1)).filter(|_| exists(axis));
-        *place.ok_or("this axis does not move the tool")? = what;
-        let view = view(&self.config, &seen);
-        self.change(|hub| hub.say(Topic::Axes, &view));
+        let has_moved = self.moved.get(axis).copied().filter(|_| axis < drives.into());
+        if !has_moved.ok_or("this axis does not move the tool")? {
+            return Err("move this axis first, then say what moved");
+        }
+        if let Some(seen) = self.seen.get_mut(axis) {
+            *seen = what;
+        }
+        Ok(())
+    }
+}
+
+impl Console {
+    /// Velocity of the tool, mm/s, for a press that moves an axis, from 1, alone.
+    ///
+    /// # Errors
+    /// Why it cannot be moved alone.
+    pub(super) fn press_axis(&self, axis: u8, forward: bool, now_ms: u64) -> Result<[f32; 3], &'static str> {
+        let index = usize::from(axis).checked_sub(1).ok_or("axes are numbered from 1")?;
+        let joints_rad = self
+            .hub()
+            .joints_rad()
+            .ok_or("the robot is not homed, or does not report where it is")?;
+        let joints_rad = joints_rad.map(f64::from);
+        lock(&self.axes_check).pressed(&self.config, &joints_rad, (index, forward), now_ms)
+    }
+
+    /// Takes what the operator saw of an axis, from 1; `None` clears the answer.
+    ///
+    /// # Errors
+    /// There is no such axis, or it was not moved.
+    pub(super) fn saw(&self, axis: u8, what: Option<Seen>) -> Result<(), &'static str> {
+        let index = usize::from(axis).checked_sub(1).ok_or("axes are numbered from 1")?;
+        lock(&self.axes_check).answer(index, self.config.bus.drives, what)?;
+        self.show_axes();
         Ok(())
     }
 
-    /// Forgets what was seen if the robot has lost its reference, or is being homed anew.
-    pub(super) fn keep_seen(&self, status: &Status) {
-        if status.referenced && status.mode != Mode::Homing {
-            return;
+    /// Shows the check as the robot stands; without a reference, or while it is homed, nothing of it is kept.
+    pub(super) fn keep_axes(&self, status: &Status) {
+        let keeps = status.referenced && status.mode != Mode::Homing;
+        let cleared = {
+            let mut check = lock(&self.axes_check);
+            let had_answers = check.seen.iter().any(Option::is_some);
+            if !keeps {
+                *check = AxesCheck::default();
+            }
+            had_answers && !keeps
+        };
+        if cleared {
+            let text = "the check of the axes was cleared because the robot lost its reference or is being homed";
+            self.change(|hub| hub.note(Level::Info, text));
         }
-        let mut seen = lock(&self.axes_seen);
-        if seen.iter().all(Option::is_none) {
-            return;
-        }
-        *seen = AxesSeen::default();
-        let view = view(&self.config, &seen);
-        self.change(|hub| {
-            hub.note(
-                Level::Info,
-                "what was seen of the axes is forgotten: the robot has lost its place, or is homed anew",
-            );
-            hub.say(Topic::Axes, &view);
-        });
+        self.show_axes();
+    }
+
+    fn show_axes(&self) {
+        let joints_rad = self.hub().joints_rad().map(|joints_rad| joints_rad.map(f64::from));
+        let view = view(&self.config, &lock(&self.axes_check), joints_rad.as_ref());
+        self.change(|hub| hub.say(Topic::Axes, &view));
     }
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::identification::joints_over_sheet_rad;
     use crate::settings::machines::MACHINES;
 
     #[test]
@@ -153,19 +234,79 @@ mod tests {
         for machine in &MACHINES {
             let config = machine.load().expect("a configuration");
             let drives = usize::from(config.bus.drives).min(MAIN_AXES);
-            let none = view(&config, &AxesSeen::default());
+            let joints_rad = joints_over_sheet_rad(&config).expect("a pose");
+            let shown = |seen| {
+                let check = AxesCheck {
+                    seen,
+                    ..AxesCheck::default()
+                };
+                view(&config, &check, Some(&joints_rad))
+            };
+            let none = shown([None; MAIN_AXES]);
             assert_eq!(none.axes.len(), drives);
             assert_eq!(none.others.len(), usize::from(config.bus.drives) - drives);
             assert!(none.axes.iter().all(|axis| !axis.way.is_empty()), "{none:?}");
+            assert!(untried(&config).axes.iter().all(|axis| axis.way.is_empty()));
             assert!(!none.confirmed && none.advice.is_empty());
-            let all = view(&config, &[Some(Seen::AsTold); MAIN_AXES]);
+            let all = shown([Some(Seen::AsTold); MAIN_AXES]);
             assert!(all.confirmed && all.advice.is_empty());
-            let one = view(&config, &[Some(Seen::AsTold), Some(Seen::Reversed), None]);
+            let one = shown([Some(Seen::AsTold), Some(Seen::Reversed), Some(Seen::Unclear)]);
             assert!(
                 !one.confirmed && one.advice[0].starts_with("axis 2 goes the other way"),
                 "{one:?}"
             );
+            for line in one.advice {
+                assert!(!line.contains("etherpen") && !line.contains("--"), "{line}");
+            }
         }
+    }
+
+    #[test]
+    fn a_press_ends_after_its_way_and_a_new_one_begins_anew() {
+        let config = Config::default();
+        let mut joints_rad = joints_over_sheet_rad(&config).expect("a pose");
+        let mut check = AxesCheck::default();
+        let speed_mm_s = |velocity: [f32; 3]| velocity.iter().map(|part| part * part).sum::<f32>().sqrt();
+        let mut press = |joints_rad: &[f64; AXES], forward, now_ms| {
+            speed_mm_s(
+                check
+                    .pressed(&config, joints_rad, (1, forward), now_ms)
+                    .expect("a velocity"),
+            )
+        };
+        assert!(press(&joints_rad, true, 0) > 1.0);
+        joints_rad[1] += 1.01 * way_max_rad(&config, 1);
+        assert_eq!(press(&joints_rad, true, 100), 0.0);
+        assert_eq!(press(&joints_rad, true, 399), 0.0, "it is the same press");
+        assert!(press(&joints_rad, false, 400) > 1.0, "the other button");
+        assert!(press(&joints_rad, true, 420) > 1.0, "pressed anew");
+        joints_rad[1] += 1.01 * way_max_rad(&config, 1);
+        assert_eq!(press(&joints_rad, true, 430), 0.0);
+        assert!(press(&joints_rad, true, 430 + PRESS_MS) > 1.0);
+        joints_rad[0] = f64::NAN;
+        let why = check.pressed(&config, &joints_rad, (1, true), 0);
+        assert_eq!(why, Err("the drives do not report where the axes are"));
+    }
+
+    #[test]
+    fn only_an_axis_that_was_moved_has_an_answer() {
+        let mut check = AxesCheck::default();
+        let first = "move this axis first, then say what moved";
+        assert_eq!(check.answer(0, 4, Some(Seen::AsTold)), Err(first));
+        check.moved[0] = true;
+        assert_eq!(check.answer(0, 4, Some(Seen::Other(4))), Ok(()));
+        assert_eq!(check.seen[0], Some(Seen::Other(4)));
+        assert_eq!(check.answer(0, 4, Some(Seen::Other(1))), Ok(()));
+        assert_eq!(check.seen[0], Some(Seen::AsTold));
+        assert_eq!(check.answer(0, 4, None), Ok(()));
+        assert_eq!(check.seen[0], None);
+        assert_eq!(check.answer(0, 4, Some(Seen::Other(5))), Err("there is no such axis"));
+        assert_eq!(check.answer(1, 4, Some(Seen::AsTold)), Err(first));
+        assert_eq!(
+            check.answer(3, 4, Some(Seen::AsTold)),
+            Err("this axis does not move the tool")
+        );
+        assert_eq!(check.answer(2, 2, None), Err("this axis does not move the tool"));
     }
 
     #[test]

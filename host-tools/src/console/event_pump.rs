@@ -176,7 +176,7 @@ fn take(console: &Console, news: News) {
                 hub.take_status(&status);
             });
             console.keep_touches(&status);
-            console.keep_seen(&status);
+            console.keep_axes(&status);
             let is_new = status.mode == Mode::Startup || is_resolved_by(&console.config, &status, false);
             if is_new && console.event_pump.has_to_prepare() {
                 let answer = console.machine.order(Order::Prepare(Ready::Bus));

@@ -11,7 +11,7 @@
 //! nobody else; nothing that is kept grows with time.
 
 mod assets;
-pub mod axes_check;
+mod axes_check;
 pub mod capture;
 pub mod control;
 mod event_pump;
@@ -167,8 +167,8 @@ pub struct Console {
     preview: Mutex<Preview>,
     variants: Mutex<variants::Variants>,
     sheet: Mutex<sheet::SheetTouches>,
-    /// What was seen of the axes.
-    axes_seen: Mutex<axes_check::AxesSeen>,
+    /// What was moved and seen of the axes.
+    axes_check: Mutex<axes_check::AxesCheck>,
     /// Where the robot goes for a change of the pen; `None`: it stays over the last stroke.
     pen_change: Option<Position>,
     changed: watch::Sender<u64>,
@@ -230,10 +230,7 @@ impl Console {
         hub.say(Topic::Preparation, &PreparationView::idle());
         hub.say(Topic::Variants, &variants::Variants::default().view());
         hub.say(Topic::Sheet, &sheet::configured(&config));
-        hub.say(
-            Topic::Axes,
-            &axes_check::view(&config, &axes_check::AxesSeen::default()),
-        );
+        hub.say(Topic::Axes, &axes_check::untried(&config));
         let console = Arc::new(Self {
             config,
             token,
@@ -245,7 +242,7 @@ impl Console {
             preview: Mutex::default(),
             variants: Mutex::default(),
             sheet: Mutex::default(),
-            axes_seen: Mutex::default(),
+            axes_check: Mutex::default(),
             pen_change,
             changed: watch::channel(0).0,
             gate: Arc::default(),

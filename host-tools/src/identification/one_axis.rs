@@ -26,9 +26,10 @@ const ACCELERATION_MM_S2: f64 = 200.0;
 /// How often the axis goes there and back, and vertices on each way.
 const TIMES: usize = 2;
 const STEPS: usize = 40;
-/// How far a joint turns to either side to find where the tool goes with it, rad, and the least way of the tool that tells, mm.
+/// How far a joint turns to either side to find where the tool goes with it, rad, and the least way of the tool for a radian that
+/// tells, mm.
 const STEP_RAD: f64 = 1e-4;
-const LEAST_MM: f64 = 1e-6;
+const LEAST_MM: f64 = 1e-3;
 /// How far the other joints may turn, rad: the rounding of the vertices and of the corners between them.
 pub const OTHERS_RAD: f64 = 1.5e-3;
 
@@ -133,24 +134,53 @@ impl OneAxis {
     }
 }
 
-/// Velocity of the tool, mm/s, with which one main axis, from 0, goes forwards and the others stand, at these joints. As slow
-/// as the motion of [`OneAxis`], slower where another axis's motor would go faster if it got the commands. `None` for an axis that
+/// Velocity of the tool, mm/s, with which one main axis, from 0, goes forwards and the others stand, at these joints: the tool
+/// goes no faster than 20 mm/s, and would not if the drive of any other main axis got the commands. `None` for an axis that
 /// does not move the tool, and where the joints are in no pose.
 #[must_use]
 pub fn velocity_mm_s(config: &Config, joints_rad: &[f64; AXES], axis: usize) -> Option<[f64; 3]> {
     let mains = MAIN_AXES.min(config.bus.drives.into());
     let kinematics = Kinematics::new(&config.geometry).ok().filter(|_| axis < mains)?;
+    let mut fastest_rad_s = f64::INFINITY;
+    for other in 0..mains {
+        let lever_mm = length(&lever_mm(&kinematics, joints_rad, other)?);
+        // The commands are increments of the encoder.
+        let rad_a_rad = increments_a_rad(config, axis) / increments_a_rad(config, other);
+        fastest_rad_s = fastest_rad_s.min(SPEED_MM_S / (lever_mm * rad_a_rad));
+    }
+    let lever_mm = lever_mm(&kinematics, joints_rad, axis)?;
+    (length(&lever_mm) > LEAST_MM && fastest_rad_s.is_finite()).then(|| lever_mm.map(|mm| mm * fastest_rad_s))
+}
+
+/// How far the tool goes for a radian of a joint, mm.
+fn lever_mm(kinematics: &Kinematics, joints_rad: &[f64; AXES], joint: usize) -> Option<[f64; 3]> {
     let beside_mm = |by_rad: f64| {
         let mut joints_rad = *joints_rad;
-        joints_rad[axis] += by_rad;
+        joints_rad[joint] += by_rad;
         let place = kinematics.forward(&JointAngles(joints_rad)).ok()?;
         Some([place.x_mm, place.y_mm, place.z_mm])
     };
     let (back_mm, forth_mm) = (beside_mm(-STEP_RAD)?, beside_mm(STEP_RAD)?);
-    let way_mm: [f64; 3] = std::array::from_fn(|k| forth_mm[k] - back_mm[k]);
-    let length_mm = way_mm.iter().map(|mm| mm * mm).sum::<f64>().sqrt();
-    let speed_mm_s = SPEED_MM_S * shortest_rad(config, axis, &[1.0; MAIN_AXES][..mains]).min(1.0);
-    (length_mm > LEAST_MM).then(|| way_mm.map(|mm| mm / length_mm * speed_mm_s))
+    Some(std::array::from_fn(|k| (forth_mm[k] - back_mm[k]) / (2.0 * STEP_RAD)))
+}
+
+fn length(mm: &[f64; 3]) -> f64 {
+    mm.iter().map(|part| part * part).sum::<f64>().sqrt()
+}
+
+/// Increments of an axis's encoder for a radian of its joint.
+fn increments_a_rad(config: &Config, axis: usize) -> f64 {
+    let axis = &config.axes[axis];
+    axis.gear.abs() * f64::from(axis.increments_per_revolution)
+}
+
+/// How far an axis may go at once while nobody knows whether it is the right one, rad, so that no other main axis goes farther than
+/// is meant for it if its drive gets the commands instead.
+#[must_use]
+pub fn way_max_rad(config: &Config, axis: usize) -> f64 {
+    let mains = MAIN_AXES.min(config.bus.drives.into());
+    let meant_rad: Vec<f64> = (0..mains).map(|axis| meant_rad(config, axis)).collect();
+    shortest_rad(config, axis, &meant_rad)
 }
 
 /// How far an axis is to go, rad.
@@ -164,11 +194,8 @@ fn meant_rad(config: &Config, axis: usize) -> f64 {
 /// How far an axis goes, rad, so that no main axis leaves its room if its drive gets the commands instead: they are increments of the
 /// encoder.
 fn shortest_rad(config: &Config, axis: usize, rooms_rad: &[f64]) -> f64 {
-    let increments = |axis: usize| {
-        let axis = &config.axes[axis];
-        axis.gear.abs() * f64::from(axis.increments_per_revolution)
-    };
-    let other = |(other, room_rad): (usize, &f64)| room_rad * increments(other) / increments(axis);
+    let other =
+        |(other, room_rad): (usize, &f64)| room_rad * increments_a_rad(config, other) / increments_a_rad(config, axis);
     rooms_rad.iter().enumerate().map(other).fold(f64::INFINITY, f64::min)
 }
 
@@ -250,7 +277,18 @@ mod tests {
                 joints_rad[..MAIN_AXES].copy_from_slice(&start.from_rad);
                 let velocity_mm_s = velocity_mm_s(&config, &joints_rad, axis).expect("a velocity");
                 let speed_mm_s = velocity_mm_s.iter().map(|speed| speed * speed).sum::<f64>().sqrt();
-                assert!(speed_mm_s > 1.0 && speed_mm_s <= SPEED_MM_S + 1e-9, "{speed_mm_s}");
+                assert!(speed_mm_s > 1.0, "{speed_mm_s}");
+                // If the drive of another axis gets the commands, the tool goes no faster.
+                let own_mm = length(&lever_mm(&kinematics, &joints_rad, axis).expect("a lever"));
+                for other in 0..mains {
+                    let lever_mm = length(&lever_mm(&kinematics, &joints_rad, other).expect("a lever"));
+                    let (count, others) = (increments_a_rad(&config, axis), increments_a_rad(&config, other));
+                    let exchanged_mm_s = speed_mm_s / own_mm * count / others * lever_mm;
+                    assert!(
+                        exchanged_mm_s <= SPEED_MM_S + 1e-9,
+                        "{axis}, {other}: {exchanged_mm_s} mm/s"
+                    );
+                }
                 // A millimetre that way.
                 let from = kinematics.forward(&JointAngles(joints_rad)).expect("a pose");
                 let share = 1.0 / speed_mm_s;

@@ -1,7 +1,7 @@
 //! A viewer's requests that are not started yet.
 //!
 //! Invariant: at most [`WAITING_MAX`] requests wait; of plot requests only the newest of each kind, and a jog replaces
-//! a jog directly before it.
+//! one of its own kind directly before it.
 
 use super::super::messages::Request;
 use crate::machine::Ticket;
@@ -49,8 +49,12 @@ mod tests {
     fn request(number: u64) -> Request {
         match number % 6 {
             0 => Request::Alive,
-            1 => Request::Jog {
+            1 if number % 12 == 1 => Request::Jog {
                 velocity_mm_s: [number as f64, 0.0, 0.0],
+            },
+            1 => Request::JogAxis {
+                axis: number as u8,
+                forward: true,
             },
             2 | 3 => Request::Range {
                 id: number as u32,

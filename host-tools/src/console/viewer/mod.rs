@@ -384,12 +384,15 @@ impl Viewer {
                 self.jogged_ms.store(now_ms.max(1), Ordering::Relaxed);
                 console.jog(heard, velocity_mm_s.map(|speed| speed as f32));
             }
-            Request::JogAxis { axis, forward } => match console.axis_velocity_mm_s(axis, forward) {
+            Request::JogAxis { axis, forward } => match console.press_axis(axis, forward, now_ms) {
                 Ok(velocity_mm_s) => {
                     self.jogged_ms.store(now_ms.max(1), Ordering::Relaxed);
                     console.jog(heard, velocity_mm_s);
                 }
-                Err(why) => self.refuse(why),
+                Err(why) => {
+                    self.stop_jog(now_ms);
+                    self.refuse(why);
+                }
             },
             Request::Saw { axis, seen } => {
                 if let Err(why) = console.saw(axis, seen) {

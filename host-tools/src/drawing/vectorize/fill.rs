@@ -93,7 +93,7 @@ impl Study {
         let ink = self.grain.zip(&self.features, |ink, feature| {
             ink * (1.0 + FEATURE_GAIN * feature * ink)
         });
-        // Every point is drawn: its place is the tone, and the tour is short through all of them.
+        // Every point of a piece stays a vertex: its place is the tone, and the tour is short through all of them.
         let through = |points: &Vec<Point>| Stroke {
             points: self.frame.on_sheet(points),
         };
