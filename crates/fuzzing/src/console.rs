@@ -121,7 +121,7 @@ pub(crate) fn message_seeds() -> Vec<Vec<u8>> {
         r#"{"type":"command","action":{"do":"move","position_mm":[0.1,2,-850.5]}}"#,
         r#"{"type":"command","action":{"do":"pen","down":true}}"#,
         r#"{"type":"jog","velocity_mm_s":[20,0,-5]}"#,
-        r#"{"type":"jog_axis","axis":2,"forward":false}"#,
+        r#"{"type":"jog_axis","axis":2,"forward":false,"press":1}"#,
         r#"{"type":"saw","axis":2,"seen":{"other":1}}"#,
         r#"{"type":"touch","action":"add"}"#,
         r#"{"type":"continue","job":1}"#,

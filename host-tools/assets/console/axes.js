@@ -30,11 +30,16 @@ export function axes(link, hold) {
     });
     let told = null;
     let heard = null;
+    // An answer that was refused is taken back.
+    link.on("refused", () => (answer.value = heard ?? UNSEEN));
     const shown = element("div", { className: "axis", role: "group", ariaLabel: `Axis ${axis}, ${name}` }, element("span", {}, called({ axis, name })), ...ways, answer);
     return [shown, ({ seen, moved, way }) => {
       for (const button of ways) set(button, { disabled: !may() });
-      if (told !== way) answer.options = answers(way);
-      told = way;
+      // An open list stays as it is, and an answer as it was given.
+      if (told !== way && answer.list.hidden && seen === null) {
+        answer.options = answers(way);
+        told = way;
+      }
       const value = seen === null ? UNSEEN : typeof seen === "string" ? seen : String(seen.other);
       if (heard !== value) answer.value = value;
       heard = value;

@@ -158,6 +158,7 @@ function override(link) {
 function jog(link) {
   const pressed = new Map();
   let timer = 0;
+  let presses = 0;
   const velocity = () => {
     const speed = Number($("jog-speed").value);
     const sum = [0, 0, 0];
@@ -173,7 +174,8 @@ function jog(link) {
     // One axis moves alone: what else is held has to be pressed anew.
     const isAlone = (held) => !Array.isArray(held);
     for (const [other, held] of pressed) if (isAlone(held) || isAlone(wanted)) pressed.delete(other);
-    pressed.set(key, wanted);
+    presses += 1;
+    pressed.set(key, isAlone(wanted) ? { ...wanted, press: presses } : wanted);
     send();
     timer ||= setInterval(send, JOG_MS);
   };

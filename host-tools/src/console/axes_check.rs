@@ -1,16 +1,18 @@
 //! The check of the axes: one alone moves while the operator presses, who then says which one moved.
 //!
 //! Drives that are exchanged, or turn the other way, are consistent with themselves; only somebody who sees the machine can
-//! tell. The work area is no protection against them, so that a press moves an axis by a few millimetres and no farther.
+//! tell. The work area is no protection against them, so that a press moves an axis by [`way_max_rad`], and by what it goes until
+//! the console hears of it.
 //!
-//! Invariants: a press never moves an axis farther than [`way_max_rad`]; only an axis that was moved has an answer; no answer
-//! outlives the reference with which it was given.
+//! Invariants: a press asks for no motion beyond its way, nor for longer than that way takes; only an axis that was moved has an
+//! answer; no answer outlives the reference with which it was given.
 
+use super::control::ViewerId;
 use super::hub::{Level, Topic};
 use super::page_text::for_page;
 use super::{Console, lock};
 use crate::axes::axes;
-use crate::identification::one_axis::{velocity_mm_s, way_max_rad};
+use crate::identification::one_axis::{alone, way_max_rad};
 use crate::identification::seen::{Seen, advice};
 use etherpen::application::Mode;
 use etherpen::config::Config;
@@ -20,18 +22,30 @@ use serde::Serialize;
 
 /// Smallest share of the speed for which an axis of the frame is named.
 const PART_MIN: f64 = 0.2;
-/// Silence after which a request is a new press, ms.
-const PRESS_MS: u64 = 300;
+/// How much longer than its way takes a press may ask for a motion, ms.
+const SPARE_MS: f64 = 300.0;
+/// Part of the way of a press that a person can see.
+const VISIBLE_PART: f64 = 0.125;
 
 /// A press of a button.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Press {
+    /// Who presses.
+    pub(super) viewer: ViewerId,
+    /// Its number, of which the page counts every press.
+    pub(super) number: u64,
+    /// The axis, from 1.
+    pub(super) axis: u8,
+    /// Whether it goes forwards.
+    pub(super) forward: bool,
+}
+
+/// Where the axis was when a press began, rad, and when that was, ms.
 #[derive(Clone, Copy, Debug)]
-struct Press {
-    axis: usize,
-    forward: bool,
-    /// Where the axis was when it began, rad.
+struct Begun {
+    press: Press,
     from_rad: f64,
-    /// When it was heard last, ms.
-    heard_ms: u64,
+    at_ms: u64,
 }
 
 /// What is known of the axes that move the tool.
@@ -39,7 +53,7 @@ struct Press {
 pub(super) struct AxesCheck {
     seen: [Option<Seen>; MAIN_AXES],
     moved: [bool; MAIN_AXES],
-    press: Option<Press>,
+    begun: Option<Begun>,
 }
 
 #[derive(Debug, Serialize)]
@@ -93,8 +107,8 @@ fn view(config: &Config, check: &AxesCheck, joints_rad: Option<&[f64; AXES]>) ->
         .map(|(axis, (seen, moved))| CheckedAxis {
             axis: axis.index as u8 + 1,
             way: joints_rad
-                .and_then(|joints_rad| velocity_mm_s(config, joints_rad, axis.index))
-                .map_or_else(String::new, |velocity| way(&velocity)),
+                .and_then(|joints_rad| alone(config, joints_rad, axis.index))
+                .map_or_else(String::new, |alone| way(&alone.velocity_mm_s)),
             name: axis.name,
             moved,
             seen: *seen,
@@ -120,38 +134,40 @@ pub(super) fn untried(config: &Config) -> AxesView {
 }
 
 impl AxesCheck {
-    /// The velocity of the tool, mm/s, that a press of an axis asks for; 0 once the press has moved it far enough.
+    /// The velocity of the tool, mm/s, that a press asks for; 0 once it has had its way or the time for it.
     fn pressed(
         &mut self,
         config: &Config,
         joints_rad: &[f64; AXES],
-        (axis, forward): (usize, bool),
+        press: Press,
         now_ms: u64,
     ) -> Result<[f32; 3], &'static str> {
+        let axis = usize::from(press.axis)
+            .checked_sub(1)
+            .ok_or("axes are numbered from 1")?;
         if !joints_rad.iter().all(|angle| angle.is_finite()) {
             return Err("the drives do not report where the axes are");
         }
-        let velocity = velocity_mm_s(config, joints_rad, axis).ok_or("this axis does not move the tool here")?;
+        let alone = alone(config, joints_rad, axis).ok_or("this axis does not move the tool here")?;
         let at_rad = joints_rad.get(axis).copied().unwrap_or_default();
-        let is_same = |press: &Press| {
-            (press.axis, press.forward) == (axis, forward) && now_ms.saturating_sub(press.heard_ms) < PRESS_MS
-        };
-        let from_rad = self.press.filter(is_same).map_or(at_rad, |press| press.from_rad);
-        self.press = Some(Press {
-            axis,
-            forward,
-            from_rad,
-            heard_ms: now_ms,
+        let begun = self.begun.filter(|begun| begun.press == press).unwrap_or(Begun {
+            press,
+            from_rad: at_rad,
+            at_ms: now_ms,
         });
+        self.begun = Some(begun);
+        let (way_rad, way_max_rad) = ((at_rad - begun.from_rad).abs(), way_max_rad(config, axis));
         if let Some(moved) = self.moved.get_mut(axis) {
-            *moved = true;
+            *moved |= way_rad > VISIBLE_PART * way_max_rad;
         }
-        let sign = match (at_rad - from_rad).abs() < way_max_rad(config, axis) {
-            true if forward => 1.0,
+        let time_max_ms = 1.0e3 * way_max_rad / alone.speed_rad_s + SPARE_MS;
+        let goes_on = way_rad < way_max_rad && (now_ms.saturating_sub(begun.at_ms) as f64) < time_max_ms;
+        let sign = match goes_on {
+            true if press.forward => 1.0,
             true => -1.0,
             false => 0.0,
         };
-        Ok(velocity.map(|part| (sign * part) as f32))
+        Ok(alone.velocity_mm_s.map(|part| (sign * part) as f32))
     }
 
     /// Takes an answer about an axis, from 0.
@@ -173,18 +189,16 @@ impl AxesCheck {
 }
 
 impl Console {
-    /// Velocity of the tool, mm/s, for a press that moves an axis, from 1, alone.
+    /// Velocity of the tool, mm/s, for a press that moves an axis alone.
     ///
     /// # Errors
     /// Why it cannot be moved alone.
-    pub(super) fn press_axis(&self, axis: u8, forward: bool, now_ms: u64) -> Result<[f32; 3], &'static str> {
-        let index = usize::from(axis).checked_sub(1).ok_or("axes are numbered from 1")?;
+    pub(super) fn press_axis(&self, press: Press, now_ms: u64) -> Result<[f32; 3], &'static str> {
         let joints_rad = self
             .hub()
             .joints_rad()
             .ok_or("the robot is not homed, or does not report where it is")?;
-        let joints_rad = joints_rad.map(f64::from);
-        lock(&self.axes_check).pressed(&self.config, &joints_rad, (index, forward), now_ms)
+        lock(&self.axes_check).pressed(&self.config, &joints_rad.map(f64::from), press, now_ms)
     }
 
     /// Takes what the operator saw of an axis, from 1; `None` clears the answer.
@@ -261,31 +275,59 @@ mod tests {
         }
     }
 
+    /// The speed of the tool for a press of the second axis, mm/s.
+    fn asked(
+        check: &mut AxesCheck,
+        joints_rad: &[f64; AXES],
+        (number, forward): (u64, bool),
+        now_ms: u64,
+    ) -> Result<f32, &'static str> {
+        let press = Press {
+            viewer: 1,
+            number,
+            axis: 2,
+            forward,
+        };
+        let velocity = check.pressed(&Config::default(), joints_rad, press, now_ms)?;
+        Ok(velocity.iter().map(|part| part * part).sum::<f32>().sqrt())
+    }
+
     #[test]
     fn a_press_ends_after_its_way_and_a_new_one_begins_anew() {
         let config = Config::default();
         let mut joints_rad = joints_over_sheet_rad(&config).expect("a pose");
-        let mut check = AxesCheck::default();
-        let speed_mm_s = |velocity: [f32; 3]| velocity.iter().map(|part| part * part).sum::<f32>().sqrt();
-        let mut press = |joints_rad: &[f64; AXES], forward, now_ms| {
-            speed_mm_s(
-                check
-                    .pressed(&config, joints_rad, (1, forward), now_ms)
-                    .expect("a velocity"),
-            )
-        };
-        assert!(press(&joints_rad, true, 0) > 1.0);
+        let check = &mut AxesCheck::default();
+        let goes = |speed: Result<f32, &str>| speed.is_ok_and(|mm_s| mm_s > 1.0);
+        assert!(goes(asked(check, &joints_rad, (1, true), 0)));
+        assert!(check.answer(1, 4, Some(Seen::AsTold)).is_err(), "it has not moved yet");
         joints_rad[1] += 1.01 * way_max_rad(&config, 1);
-        assert_eq!(press(&joints_rad, true, 100), 0.0);
-        assert_eq!(press(&joints_rad, true, 399), 0.0, "it is the same press");
-        assert!(press(&joints_rad, false, 400) > 1.0, "the other button");
-        assert!(press(&joints_rad, true, 420) > 1.0, "pressed anew");
-        joints_rad[1] += 1.01 * way_max_rad(&config, 1);
-        assert_eq!(press(&joints_rad, true, 430), 0.0);
-        assert!(press(&joints_rad, true, 430 + PRESS_MS) > 1.0);
+        assert_eq!(asked(check, &joints_rad, (1, true), 100), Ok(0.0));
+        assert_eq!(
+            asked(check, &joints_rad, (1, true), 60_000),
+            Ok(0.0),
+            "it is the same press"
+        );
+        assert_eq!(check.answer(1, 4, Some(Seen::AsTold)), Ok(()));
+        assert!(goes(asked(check, &joints_rad, (2, false), 60_001)), "the other button");
+        assert!(goes(asked(check, &joints_rad, (3, true), 60_002)), "pressed anew");
         joints_rad[0] = f64::NAN;
-        let why = check.pressed(&config, &joints_rad, (1, true), 0);
+        let why = asked(check, &joints_rad, (3, true), 60_003);
         assert_eq!(why, Err("the drives do not report where the axes are"));
+    }
+
+    #[test]
+    fn a_press_ends_in_time_though_nothing_is_heard_of_its_way() {
+        let joints_rad = joints_over_sheet_rad(&Config::default()).expect("a pose");
+        let check = &mut AxesCheck::default();
+        let last_ms = (0..60_000)
+            .step_by(40)
+            .take_while(|now_ms| asked(check, &joints_rad, (1, true), *now_ms).is_ok_and(|mm_s| mm_s > 0.0));
+        let last_ms = last_ms.last().expect("a motion");
+        assert!((500..4_000).contains(&last_ms), "{last_ms} ms");
+        assert_eq!(
+            check.answer(1, 4, Some(Seen::AsTold)),
+            Err("move this axis first, then say what moved")
+        );
     }
 
     #[test]

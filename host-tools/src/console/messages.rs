@@ -187,6 +187,8 @@ pub enum Request {
         axis: u8,
         /// Whether it goes forwards.
         forward: bool,
+        /// Number of the press, of which the page counts every one: a press ends after its way.
+        press: u64,
     },
     /// The operator saw what moved.
     Saw {

@@ -134,11 +134,19 @@ impl OneAxis {
     }
 }
 
-/// Velocity of the tool, mm/s, with which one main axis, from 0, goes forwards and the others stand, at these joints: the tool
-/// goes no faster than 20 mm/s, and would not if the drive of any other main axis got the commands. `None` for an axis that
-/// does not move the tool, and where the joints are in no pose.
+/// A motion of one main axis forwards, while the others stand.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Alone {
+    /// Velocity of the tool, mm/s.
+    pub velocity_mm_s: [f64; 3],
+    /// Speed of the joint, rad/s.
+    pub speed_rad_s: f64,
+}
+
+/// The motion of one main axis, from 0, at these joints: the tool goes no faster than 20 mm/s, and would not if the drive of any
+/// other main axis got the commands. `None` for an axis that does not move the tool, and where the joints are in no pose.
 #[must_use]
-pub fn velocity_mm_s(config: &Config, joints_rad: &[f64; AXES], axis: usize) -> Option<[f64; 3]> {
+pub fn alone(config: &Config, joints_rad: &[f64; AXES], axis: usize) -> Option<Alone> {
     let mains = MAIN_AXES.min(config.bus.drives.into());
     let kinematics = Kinematics::new(&config.geometry).ok().filter(|_| axis < mains)?;
     let mut fastest_rad_s = f64::INFINITY;
@@ -149,7 +157,10 @@ pub fn velocity_mm_s(config: &Config, joints_rad: &[f64; AXES], axis: usize) -> 
         fastest_rad_s = fastest_rad_s.min(SPEED_MM_S / (lever_mm * rad_a_rad));
     }
     let lever_mm = lever_mm(&kinematics, joints_rad, axis)?;
-    (length(&lever_mm) > LEAST_MM && fastest_rad_s.is_finite()).then(|| lever_mm.map(|mm| mm * fastest_rad_s))
+    (length(&lever_mm) > LEAST_MM && fastest_rad_s.is_finite()).then(|| Alone {
+        velocity_mm_s: lever_mm.map(|mm| mm * fastest_rad_s),
+        speed_rad_s: fastest_rad_s,
+    })
 }
 
 /// How far the tool goes for a radian of a joint, mm.
@@ -275,7 +286,7 @@ mod tests {
                 let start = OneAxis::new(&config, axis).expect("room");
                 let mut joints_rad = [0.0; AXES];
                 joints_rad[..MAIN_AXES].copy_from_slice(&start.from_rad);
-                let velocity_mm_s = velocity_mm_s(&config, &joints_rad, axis).expect("a velocity");
+                let velocity_mm_s = alone(&config, &joints_rad, axis).expect("a motion").velocity_mm_s;
                 let speed_mm_s = velocity_mm_s.iter().map(|speed| speed * speed).sum::<f64>().sqrt();
                 assert!(speed_mm_s > 1.0, "{speed_mm_s}");
                 // If the drive of another axis gets the commands, the tool goes no faster.
@@ -306,7 +317,7 @@ mod tests {
                     }
                 }
             }
-            assert_eq!(velocity_mm_s(&config, &[0.0; AXES], MAIN_AXES), None);
+            assert_eq!(alone(&config, &[0.0; AXES], MAIN_AXES), None);
         }
     }
 

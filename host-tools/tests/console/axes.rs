@@ -9,25 +9,37 @@ use host_tools::settings::machines::MACHINES;
 use serde_json::json;
 use std::time::{Duration, Instant};
 
+/// A way of an arm that a person can see, rad.
+const VISIBLE_RAD: f64 = 0.02;
 /// Least way of an axis that is held, rad; the largest of another one, rad and as a part of it: the robot follows a tangent from
 /// where the joints were measured.
 const MOVED_RAD: f64 = 2.0e-3;
 const STOOD_RAD: f64 = 2.0e-4;
 const STOOD_PART: f64 = 0.05;
 
+/// Waits until the robot has been at rest for half a second by its own time.
+fn rest(rig: &Rig) {
+    rig.until("rest", |console| {
+        let hub = console.hub();
+        let history = hub.history();
+        let (_, rows) = history.since(history.next().saturating_sub(500));
+        rows.iter().all(|row| row.mode == Mode::Idle || row.mode == Mode::Fault)
+    });
+}
+
 /// Holds a button until the motors have moved, and lets go; returns how far each motor went, rad.
-fn held(browser: &mut Browser, rig: &Rig, selector: &str, axis: usize) -> Vec<f64> {
+fn held(browser: &mut Browser, rig: &Rig, selector: &str, (axis, way_rad): (usize, f64)) -> Vec<f64> {
     mode(browser, "Idle");
     browser.until(&format!("!document.querySelector({selector:?}).disabled"));
     let before_rad = rig.cell.state().joints.0;
     let at = browser.place(selector);
     browser.mouse(true, at);
     rig.until("the motor to turn", |_| {
-        (rig.cell.state().joints.0[axis] - before_rad[axis]).abs() > MOVED_RAD
+        (rig.cell.state().joints.0[axis] - before_rad[axis]).abs() > way_rad
     });
     mode(browser, "Moving");
     browser.mouse(false, at);
-    mode(browser, "Idle");
+    rest(rig);
     let stands_rad = rig.cell.state().joints.0;
     std::thread::sleep(Duration::from_millis(200));
     let after_rad = rig.cell.state().joints.0;
@@ -64,7 +76,7 @@ fn one_motor_turns_while_its_button_is_held_on_every_kind_of_machine() {
         for axis in 0..count {
             for (button, sign) in [(1, -1.0), (2, 1.0)] {
                 let selector = format!(".axis:nth-child({}) > button:nth-of-type({button})", axis + 1);
-                let ways_rad = held(browser, &rig, &selector, axis);
+                let ways_rad = held(browser, &rig, &selector, (axis, MOVED_RAD));
                 for (other, way_rad) in ways_rad.iter().enumerate().take(count) {
                     match other == axis {
                         true => assert!(sign * way_rad > MOVED_RAD, "{}: {ways_rad:?}", machine.name),
@@ -106,7 +118,7 @@ fn what_the_operator_says_has_its_advice_until_the_robot_loses_its_place() {
             browser,
             &rig,
             &format!(".axis:nth-child({}) > button:nth-of-type(2)", axis + 1),
-            axis,
+            (axis, VISIBLE_RAD),
         );
         browser.until(&format!("!document.querySelector({list:?}).disabled"));
     }
@@ -136,15 +148,15 @@ fn an_axis_that_does_not_exist_is_refused_in_words_and_nothing_moves() {
     let before_rad = rig.cell.state().joints.0;
     for (request, why) in [
         (
-            json!({"type": "jog_axis", "axis": 0, "forward": true}),
+            json!({"type": "jog_axis", "axis": 0, "forward": true, "press": 1}),
             "numbered from 1",
         ),
         (
-            json!({"type": "jog_axis", "axis": 4, "forward": true}),
+            json!({"type": "jog_axis", "axis": 4, "forward": true, "press": 1}),
             "does not move the tool",
         ),
         (
-            json!({"type": "jog_axis", "axis": 255, "forward": false}),
+            json!({"type": "jog_axis", "axis": 255, "forward": false, "press": 1}),
             "does not move the tool",
         ),
         (json!({"type": "saw", "axis": 0, "seen": "as_told"}), "numbered from 1"),
@@ -172,10 +184,14 @@ fn ask_until(rig: &Rig, viewer: &mut Client, way_rad: f64) -> f64 {
     let from_rad = rig.cell.state().joints.0[1];
     let begun = Instant::now();
     while (rig.cell.state().joints.0[1] - from_rad).abs() < way_rad {
-        viewer.send(&json!({"type": "jog_axis", "axis": 2, "forward": true}));
+        viewer.send(&json!({"type": "jog_axis", "axis": 2, "forward": true, "press": 1}));
         viewer.listen(Duration::from_millis(20));
         assert!(begun.elapsed() < PATIENCE, "it does not move");
     }
+    // The telemetry may be later than the motors.
+    rig.until("the motion in the telemetry", |console| {
+        console.hub().history().last().is_some_and(|row| row.mode != Mode::Idle)
+    });
     from_rad
 }
 
@@ -191,7 +207,7 @@ fn a_press_that_is_held_ends_after_its_way() {
     while rig.cell.state().joints.0[1] != last_rad || begun.elapsed() < Duration::from_secs(2) {
         last_rad = rig.cell.state().joints.0[1];
         for _ in 0..20 {
-            viewer.send(&json!({"type": "jog_axis", "axis": 2, "forward": true}));
+            viewer.send(&json!({"type": "jog_axis", "axis": 2, "forward": true, "press": 1}));
             viewer.listen(Duration::from_millis(20));
         }
         assert!(
@@ -209,7 +225,7 @@ fn an_axis_stands_when_its_viewer_vanishes_or_presses_stop_and_nobody_moves_it_w
     let mut watching = rig.viewer("watching");
     let mut pressing = rig.viewer("pressing");
     pressing.enable();
-    watching.send(&json!({"type": "jog_axis", "axis": 2, "forward": true}));
+    watching.send(&json!({"type": "jog_axis", "axis": 2, "forward": true, "press": 1}));
     watching.until("refused", |said| {
         said.as_str().is_some_and(|said| said.contains("control"))
     });
@@ -230,7 +246,7 @@ fn an_axis_stands_when_its_viewer_vanishes_or_presses_stop_and_nobody_moves_it_w
     stands(Mode::Fault);
     // What is asked after the stop moves nothing.
     for _ in 0..10 {
-        pressing.send(&json!({"type": "jog_axis", "axis": 2, "forward": true}));
+        pressing.send(&json!({"type": "jog_axis", "axis": 2, "forward": true, "press": 1}));
         pressing.listen(Duration::from_millis(20));
     }
     stands(Mode::Fault);

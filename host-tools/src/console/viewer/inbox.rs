@@ -55,6 +55,7 @@ mod tests {
             1 => Request::JogAxis {
                 axis: number as u8,
                 forward: true,
+                press: number,
             },
             2 | 3 => Request::Range {
                 id: number as u32,

@@ -9,6 +9,7 @@ mod inbox;
 mod pictures;
 mod ranges;
 
+use super::axes_check::Press;
 use super::capture::Trigger;
 use super::control::ViewerId;
 use super::hub::Level;
@@ -384,16 +385,24 @@ impl Viewer {
                 self.jogged_ms.store(now_ms.max(1), Ordering::Relaxed);
                 console.jog(heard, velocity_mm_s.map(|speed| speed as f32));
             }
-            Request::JogAxis { axis, forward } => match console.press_axis(axis, forward, now_ms) {
-                Ok(velocity_mm_s) => {
-                    self.jogged_ms.store(now_ms.max(1), Ordering::Relaxed);
-                    console.jog(heard, velocity_mm_s);
+            Request::JogAxis { axis, forward, press } => {
+                let press = Press {
+                    viewer: self.id,
+                    number: press,
+                    axis,
+                    forward,
+                };
+                match console.press_axis(press, now_ms) {
+                    Ok(velocity_mm_s) => {
+                        self.jogged_ms.store(now_ms.max(1), Ordering::Relaxed);
+                        console.jog(heard, velocity_mm_s);
+                    }
+                    Err(why) => {
+                        self.stop_jog(now_ms);
+                        self.refuse(why);
+                    }
                 }
-                Err(why) => {
-                    self.stop_jog(now_ms);
-                    self.refuse(why);
-                }
-            },
+            }
             Request::Saw { axis, seen } => {
                 if let Err(why) = console.saw(axis, seen) {
                     self.refuse(why);

@@ -152,6 +152,29 @@ fn a_portrait_takes_about_a_minute_and_a_half_and_stays_inside_its_margin() {
 }
 
 #[test]
+fn the_points_of_one_line_stay_vertices_though_they_lie_in_line() {
+    // On even gray the points stand in rows.
+    let gray = RgbImage::from_pixel(300, 300, Rgb([90; 3]));
+    let options = VectorizeOptions {
+        style: Style::Tsp,
+        ..VectorizeOptions::default()
+    };
+    let drawing = vectorize_image(&gray, &options).expect("a drawing");
+    let count = |strokes: &[Vec<[f64; 2]>]| strokes.iter().map(Vec::len).sum::<usize>();
+    let all: Vec<_> = drawing.strokes.into_iter().map(|stroke| stroke.points).collect();
+    let simplified: Vec<_> = all
+        .iter()
+        .map(|points| crate::drawing::line::simplified(points, 0.04))
+        .collect();
+    assert!(
+        count(&all) > 100 && count(&simplified) < count(&all),
+        "{}, {}",
+        count(&all),
+        count(&simplified)
+    );
+}
+
+#[test]
 fn strokes_are_long_and_few_enough_to_be_worth_their_lifts() {
     for Sample { name, drawing, .. } in samples() {
         let short = drawing.strokes.iter().filter(|stroke| stroke.length_mm() < 2.0).count();
