@@ -9,7 +9,7 @@ use host_tools::settings::machines::MACHINES;
 use serde_json::json;
 use std::time::{Duration, Instant};
 
-/// A way of an arm that a person can see, rad.
+/// A way of an axis that a person can see, rad.
 const VISIBLE_RAD: f64 = 0.02;
 /// Least way of an axis that is held, rad; the largest of another one, rad and as a part of it: the robot follows a tangent from
 /// where the joints were measured.
